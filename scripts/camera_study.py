@@ -186,12 +186,12 @@ def fresh_rows(cell: VirtualCell, fitted: Rows, seed: int, setting: Setting) -> 
     assert simulated.pictures is not None
     known = Cell(cameras={"": setting.camera}, boards={"": BOARD})
     rows, _ = rows_and_setup(cell.truth.nominal, table_of(simulated), known)
-    assert rows.samples.optics is not None
-    assert fitted.samples.optics is not None
-    optics = rows.samples.optics.copy()
-    optics[:, INTRINSICS] = fitted.samples.optics[0, INTRINSICS]
-    assert set(optics[:, CORNER]) <= set(fitted.samples.optics[:, CORNER])
-    samples = replace(rows.samples, optics=read_only(optics))
+    assert rows.samples.internals is not None
+    assert fitted.samples.internals is not None
+    internals = rows.samples.internals.copy()
+    internals[:, INTRINSICS] = fitted.samples.internals[0, INTRINSICS]
+    assert set(internals[:, CORNER]) <= set(fitted.samples.internals[:, CORNER])
+    samples = replace(rows.samples, internals=read_only(internals))
     return replace(rows, samples=samples, measured=simulated.pictures.true_pixels)
 
 

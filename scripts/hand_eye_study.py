@@ -170,10 +170,9 @@ def by_calib(model: str) -> Callable[[Data, int], Iterator[Prediction]]:
         )
         held_out = replace(data, table=data.table.select(out))
         rows, _ = rows_and_setup(data.robot, held_out.table, data.cell)
-        found = result.setup.optics_at(rows.samples)
-        assert found is not None
-        values = found.values
-        T = result.setup.target_poses(result.robot.poses(rows.joints), rows.samples)
+        seen = result.setup.sightings(result.robot.poses(rows.joints), rows.samples)
+        assert seen.internals is not None
+        values, T = seen.internals.values, seen.T_frame_target
         printed = optics.board_points(values)
         names = np.array(held_out.table.images)
         for name in dict.fromkeys(held_out.table.images):

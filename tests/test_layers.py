@@ -40,7 +40,7 @@ VERBS: dict[str, set[str]] = {
     "calibrate": {"view"},
     "compare": {"view"},
     "compensate": set(),
-    "convert": {"compensate"},
+    "convert": set(),
     "demo": {"calibrate", "view"},
     "detect": set(),
     "evaluate": {"detect"},

@@ -1,7 +1,8 @@
-"""Types of arrays, and what every room does with them: read-only copies, inverses of poses."""
+"""Types of arrays, and what every room does with them: indices of words, read-only copies, inverses of poses."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -15,6 +16,23 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 #: Array of whole numbers.
 Integers: TypeAlias = NDArray[np.int_]
+
+
+def numbered(words: Sequence[str], names: Sequence[str]) -> Integers:
+    """Return the index of words in a list of names.
+
+    Args:
+        words: N words.
+        names: Different names, which all words are among.
+
+    Returns:
+        shape (N,), index of each word in ``names``, from 0.
+
+    Raises:
+        KeyError: A word is not among the names.
+    """
+    number = {name: i for i, name in enumerate(names)}
+    return np.array([number[word] for word in words], dtype=np.int_)
 
 
 def read_only(values: ArrayLike) -> Array:

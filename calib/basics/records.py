@@ -66,6 +66,8 @@ class Option:
     metavar: str | None = None
     #: Type of the words: a text, a path, a list of texts, a truth value; or the words that are allowed.
     type: Any = str
+    #: Least value of a whole number; None: any.
+    least: int | None = None
     #: Help; empty: that of the key, with what counts without it.
     help: str = ""
     #: (what was typed, flag) to the value in SI units; None: it is read as the file's value of the key.

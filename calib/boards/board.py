@@ -84,14 +84,14 @@ class Board:
         "columns",
         WHOLE,
         "Number of squares, or tags, along x: across, with the text of the page below the pattern.",
-        option=Option("--columns", type=int, help="Number of squares, or tags, across."),
+        option=Option("--columns", type=int, least=1, help="Number of squares, or tags, across."),
     )
     #: Squares, or tags, along y.
     rows: int = key(
         "rows",
         WHOLE,
         "Number of squares, or tags, along y: down. For a chessboard count squares, not inner corners.",
-        option=Option("--rows", type=int, help="Number of squares, or tags, down."),
+        option=Option("--rows", type=int, least=1, help="Number of squares, or tags, down."),
     )
     #: Side of a square as measured on the print; for a grid of tags the distance between the centres of tags [m].
     square: float = key(
@@ -142,6 +142,7 @@ class Board:
         option=Option(
             "--first-marker",
             type=int,
+            least=0,
             help="Id of the first marker. Default: 0; boards in one picture need different ids.",
         ),
     )

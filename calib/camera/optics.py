@@ -13,15 +13,19 @@ are columns of an array (N, `COUNT`), with one row for each corner.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.camera.lenses import LENSES, Lens
+from calib.camera.planar_pose import planar_poses
 
 #: Intrinsics; a lens that has fewer leaves the last ones at zero.
 INTRINSICS = slice(0, 9)
+
+#: The two focal lengths among them [px].
+FOCAL = slice(0, 2)
 
 #: Number of the lens, in the order of `LENSES`.
 LENS = 9
@@ -112,6 +116,30 @@ def image_derivatives(T_camera_board: Array, twists: Array, optics: Array) -> tu
     # A turn w moves the point by w x lever, so that row d of by_point gives w . (lever x d).
     by_turn = np.cross(lever[:, None], by_point)
     return np.concatenate([by_point, by_turn], axis=2) @ twists, by_optics
+
+
+def view_poses(views: Sequence[tuple[Array, Array]]) -> list[Array | None]:
+    """Estimate the poses of boards in cameras, each from the corners of one view.
+
+    Args:
+        views: Images of the corners of each view, shape (k, 2) [px], and the numbers of lens and print of each corner,
+            shape (k, `COUNT`).
+
+    Returns:
+        T_camera_board, shape (4, 4) [m], of each view; None for one whose corners do not determine it.
+    """
+    by_camera: dict[float, list[int]] = {}
+    for k, (_, optics) in enumerate(views):
+        by_camera.setdefault(float(optics[0, CAMERA]), []).append(k)
+    result: list[Array | None] = [None] * len(views)
+    for numbers in by_camera.values():
+        of_camera = views[numbers[0]][1][0]
+        lens = list(LENSES.values())[int(of_camera[LENS])]
+        corners = [(board_points(views[k][1]), views[k][0]) for k in numbers]
+        poses = planar_poses(corners, lens, of_camera[: len(lens.names)])
+        for k, pose in zip(numbers, poses, strict=True):
+            result[k] = None if pose is None else pose.T_camera_board
+    return result
 
 
 def across(points: Array, centre: Array, size: tuple[float, float]) -> Array:

@@ -71,7 +71,7 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
 def say_unused_camera(measurements: Measurements, cell: Cell) -> None:
     """Say that a camera or a board is given although no row is an image."""
     names = [name for name in ("camera", "board") if getattr(cell, f"{name}s")]
-    if not names or measurements.where(lambda kind: kind.optical).any():
+    if not names or measurements.is_image.any():
         return
     given = " and ".join(f"--{name}" for name in names)
     text = f"Not used: {given}; no row is an image. Poses take the camera and its board as exact."

@@ -118,7 +118,9 @@ def field_parameters(
         words: Any = Literal[option.type] if isinstance(option.type, tuple) else option.type
         is_flag = option.type is bool
         help_text = helps.get(option.name, option.help)
-        declared = typer.Option(option.flag, metavar=option.metavar, help=help_text)
+        declared = typer.Option(
+            option.flag, metavar=option.metavar, min=option.least, help=help_text
+        )
         parameter = inspect.Parameter(
             option.name,
             inspect.Parameter.KEYWORD_ONLY,

@@ -181,7 +181,7 @@ TIE = Form(
 # Cameras and boards
 
 
-def optics_keys(
+def described_keys(
     word: str,
     read: Callable[[Mapping[str, Any], str, Path], _Described],
     option: Option,
@@ -267,7 +267,7 @@ def camera_keys() -> Sequence[Key]:
         "The camera that took images of printed boards, see below.",
         "Several cameras, by station (column `group`).",
     )
-    return optics_keys("camera", camera_of_table, option, meanings)
+    return described_keys("camera", camera_of_table, option, meanings)
 
 
 def board_keys() -> Sequence[Key]:
@@ -284,7 +284,7 @@ def board_keys() -> Sequence[Key]:
         merge=add_entries,
     )
     meanings = ("The printed board.", "Several boards, by target (column `target`).")
-    return optics_keys("board", board_of_table, option, meanings)
+    return described_keys("board", board_of_table, option, meanings)
 
 
 #: Factors of joints' readings by name, which `calib.data.cell.Cell` checks.

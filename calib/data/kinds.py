@@ -10,7 +10,8 @@ With the pose (R, p) of the target in its measurement frame, what is measured, w
     plane      nothing: the target is on a plane                0 - p_z              the frame lies in the plane
     pixel      the image of a corner         u = f(R P + p)     m - u                the frame is the camera's
 
-P is the corner on the board, which is the target, and f the camera's lens; see `calib.camera.optics`.
+P is the corner on the board, which is the target, and f the camera's lens: the internals of a camera, see
+`calib.model.internals` and `calib.camera.optics`.
 
 A ball in a socket, an anchored distance and a plane are thus points: some of their coordinates are measured, in a frame
 that is unknown in some directions. One error model serves all. `register` adds a kind from outside; see
@@ -32,10 +33,11 @@ from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.units import UNITS, Quantity
 from calib.basics.values import Value
-from calib.camera.optics import image_derivatives, images
+from calib.camera import optics
 from calib.data.kind_check import check_functions
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
+from calib.model.internals import Internals, InternalValues, StatedSize
 from calib.numerics.geometry import inverse_right_jacobian
 
 #: Least and largest standard deviation accepted for a measurement [m, rad or px]: no instrument is
@@ -147,10 +149,11 @@ class Kind(Value):
     settle: Callable[[Array], Array] | None = None
     #: What the frame stands for, in texts: ``"Socket"``.
     place: str = "Measurement frame"
-    #: Whether rows are images of a board's corners, predicted by numbers of the camera and the board besides the pose.
-    #: ``measure``, ``residual`` and ``derivative`` then take these as a last argument, shape (n, `optics.COUNT`), and
-    #: ``derivative`` returns the derivative by them too, shape (n, s, `optics.COUNT`).
-    optical: bool = False
+    #: Numbers of the instrument by which readings are predicted, besides the pose; None: there are none. With c of them
+    #: ``measure``, ``residual`` and ``derivative`` take their values as a last argument, shape (n, c), and
+    #: ``derivative`` returns the derivative by them too, shape (n, s, c). `calib.instruments.internals` makes them of
+    #: cell and table, for kinds of calib itself.
+    internals: Internals | None = None
 
     def __post_init__(self) -> None:
         """Check that the residual is defined, and its units."""
@@ -247,10 +250,15 @@ class Kind(Value):
         return bool(self.directions) and not self.own_frame
 
     @property
+    def is_image(self) -> bool:
+        """True if rows are the points of a board in images, with columns for the point as designed."""
+        return self.internals is not None and self.internals.is_camera
+
+    @property
     def measures_length(self) -> bool:
         """True if rows compare the arm with a unit of length, a board's too: not a socket or a touched plane."""
         reads_length = any(reading.quantity == "length" for reading in self.readings)
-        return self.position or reads_length or self.optical
+        return self.position or reads_length or self.is_image
 
     @property
     def free(self) -> bool:
@@ -262,37 +270,66 @@ class Kind(Value):
         """Number k of measured numbers a row."""
         return 3 * self.position + 9 * self.orientation + len(self.readings)
 
-    def readings_at(self, T_frame_target: Array, optics: Array | None = None) -> Array:
+    def readings_at(self, T_frame_target: Array, internals: InternalValues | None = None) -> Array:
         """Return what a perfect instrument reads.
 
         Args:
             T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
-            optics: Numbers of camera and board of an optical kind, shape (n, `calib.camera.optics.COUNT`).
+            internals: Those of the instrument at the n rows; None if it has none.
 
         Returns:
             shape (n, k), in SI units.
         """
         assert self.measure is not None
-        if self.optical:
-            return self.measure(T_frame_target, optics)
-        return self.measure(T_frame_target)
+        return self.measure(T_frame_target, *self._further(internals))
 
     def residual_of(
-        self, measured: Array, T_frame_target: Array, optics: Array | None = None
+        self, measured: Array, T_frame_target: Array, internals: InternalValues | None = None
     ) -> Array:
         """Return the residual, measured minus predicted.
 
         Args:
             measured: Measured numbers, shape (n, k), in SI units.
             T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
-            optics: Numbers of camera and board of an optical kind, shape (n, `calib.camera.optics.COUNT`).
+            internals: Those of the instrument at the n rows; None if it has none.
 
         Returns:
             The residual, shape (n, s), in ``units``, not whitened.
         """
         if self.residual is not None:
-            return self.residual(measured, T_frame_target, *([optics] if self.optical else []))
-        return measured - self.readings_at(T_frame_target, optics)
+            return self.residual(measured, T_frame_target, *self._further(internals))
+        return measured - self.readings_at(T_frame_target, internals)
+
+    def derivative_of(
+        self,
+        measured: Array,
+        T_frame_target: Array,
+        twists: Array,
+        internals: InternalValues | None = None,
+    ) -> Array:
+        """Return the derivative of the prediction by p parameters: minus that of the residual.
+
+        Args:
+            measured: Measured numbers, shape (n, k), in SI units.
+            T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
+            twists: Motion of the target by each parameter, shape (n, 6, p) or (n, 3, p); of a paired kind of both rows.
+            internals: Those of the instrument, and the parameters that change them; None if it has none.
+
+        Returns:
+            Shape (n, s, p), in ``units`` per unit of each parameter.
+        """
+        if internals is None:
+            return np.asarray(self.derivative(measured, T_frame_target, twists))
+        by_motion, by_internals = self.derivative(
+            measured, T_frame_target, twists, *self._further(internals)
+        )
+        internals.add_derivative(by_motion, by_internals)
+        return np.asarray(by_motion)
+
+    @staticmethod
+    def _further(internals: InternalValues | None) -> tuple[Array, ...]:
+        """Return the further arguments that internals are to the kind's functions."""
+        return () if internals is None else (internals.values,)
 
 
 # The registry
@@ -505,10 +542,45 @@ def _plane_frame(normal: Array, distance: float) -> Array:
 
 
 def _image_derivative(
-    _measured: Array, T: Array, twists: Array, optics: Array
+    _measured: Array, T: Array, twists: Array, internals: Array
 ) -> tuple[Array, Array]:
-    """Return the derivatives of images by the parameters, shape (n, 2, p), and by the optics."""
-    return image_derivatives(T, twists, optics)
+    """Return the derivatives of images by the parameters, shape (n, 2, p), and by the internals."""
+    return optics.image_derivatives(T, twists, internals)
+
+
+def _pixel_lengths(points: Array, internals: Array) -> Array:
+    """Return the length across the line of sight that a pixel is at points (n, 3) in the camera, shape (n,) [m/px].
+
+    It is Z / f at the depth Z, with the mean f of both focal lengths.
+    """
+    focal = np.mean(internals[:, optics.INTRINSICS][:, :2], axis=1)
+    return np.asarray(points[:, 2] / focal)
+
+
+_OPTICS = Internals(
+    count=optics.COUNT,
+    is_camera=True,
+    point_number=optics.CORNER,
+    points=optics.board_points,
+    lengths=_pixel_lengths,
+    view_poses=optics.view_poses,
+    stated=(
+        StatedSize(
+            name="focal_length",
+            owner=optics.CAMERA,
+            columns=tuple(range(optics.COUNT)[optics.FOCAL]),
+            relative=True,
+            is_unit_of_length=False,
+        ),
+        StatedSize(
+            name="board_scale",
+            owner=optics.BOARD,
+            columns=tuple(range(optics.COUNT)[optics.SCALE]),
+            relative=False,
+            is_unit_of_length=True,
+        ),
+    ),
+)
 
 
 # The seven kinds
@@ -598,14 +670,14 @@ _add(
         name="pixel",
         words="image of a corner of the board",
         units=("px",) * 2,
-        measure=images,
+        measure=optics.images,
         derivative=_image_derivative,
         turns=True,
         readings=(Reading("u", "pixel"), Reading("v", "pixel")),
         own_frame=True,
         fewest=8,
         place="Camera",
-        optical=True,
+        internals=_OPTICS,
     )
 )
 plugins.watch("kinds", _KINDS)

@@ -120,7 +120,7 @@ class Layout:
             words.append("point")
         if _OF_COMMANDS in named:  # its status says which rows have no command, and are empty
             words.append(STATUS)
-        if any(kind.optical for kind in present):
+        if any(kind.is_image for kind in present):
             words += ["image", "corner"]
         of_words = {name: named[name] for name in words if name in named}
         for paired in (kind for kind in present if kind.paired):
@@ -220,7 +220,7 @@ def _blocks(
         (
             "board_points",
             BOARD_POINT,
-            any(k.optical for k in present),
+            any(k.is_image for k in present),
             "images of a board's corners",
         ),
     )

@@ -163,12 +163,11 @@ class Measurements(Value):
         fill("readings", ReadOnlyMapping(readings))
 
         is_oriented = self.where(lambda kind: kind.orientation)
-        is_image = self.where(lambda kind: kind.optical)
         for name, tail, rows in (
             ("joints", (len(self.joint_names),), np.ones(count, dtype=np.bool_)),
             ("points", (3,), self.positions),
             ("rotations", (3, 3), is_oriented),
-            ("board_points", (3,), is_image),
+            ("board_points", (3,), self.is_image),
         ):
             array = checked_numbers(labels, name, getattr(self, name), tail, rows, _REACH)
             if array is None and name in ("joints", "points"):
@@ -316,6 +315,11 @@ class Measurements(Value):
     def positions(self) -> Mask:
         """True for the rows that measure a position, shape (N,), read-only."""
         return self.where(lambda kind: kind.position)
+
+    @property
+    def is_image(self) -> Mask:
+        """True for the rows that are points of a board in images, shape (N,), read-only."""
+        return self.where(lambda kind: kind.is_image)
 
     @property
     def pair_rows(self) -> NDArray[np.intp]:

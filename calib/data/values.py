@@ -130,7 +130,7 @@ def _used_blocks(kind: Kind, blocks: Collection[str]) -> set[str]:
     noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
     if may_have_covariance(kind) and "covariances" in blocks:
         noise = {"covariances"}
-    designed = {"board_points"} if kind.optical else set()
+    designed = {"board_points"} if kind.is_image else set()
     return {"joints", "torques", *designed, *noise, *_measured_blocks(kind, blocks)}
 
 

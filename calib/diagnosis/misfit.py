@@ -9,11 +9,11 @@ import numpy as np
 from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.registration import register
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.fit.registration.views import views_as_poses
 from calib.numerics.errors import Errors
 from calib.robot.robot import Robot
 
@@ -34,8 +34,7 @@ def misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
     """
     T_base_tip = robot.poses(rows.joints)
     registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
-    T_frame_target = registered.target_poses(T_base_tip, rows.samples)
-    errors = Errors.of(rows.residual(T_frame_target), rows.channels)
+    errors = Errors.of(rows.residual(registered.sightings(T_base_tip, rows.samples)), rows.channels)
     return errors["m"].rms, errors["rad"].rms
 
 
@@ -58,10 +57,10 @@ def poses_of_images(
         The poses, with the numbers of the first corner of each view, and the cell with cameras as frames that are
         estimated unless they are given; None unless all rows are corners in images.
     """
-    if not len(table) or not np.all(table.where(lambda kind: kind.optical)):
+    if not len(table) or not np.all(table.is_image):
         return None
     rows, setup = rows_and_setup(robot, table, cell)
-    views, source_rows = images_as_poses(rows)
+    views, source_rows = views_as_poses(rows)
     mask = np.zeros(len(table), dtype=bool)
     mask[source_rows] = True
     first = table.select(mask)

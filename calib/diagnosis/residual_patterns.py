@@ -92,8 +92,7 @@ class Residuals:
         frames = dict.fromkeys(fitted.setup.frame_unknowns, ())
         model = error_model(robot, "zeros", frame=frames, target=names, targets=names)
         nominal = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-        T_frame_target, twists = nominal.twists(np.zeros(len(model)), rows.samples)
-        columns = rows.derivative(T_frame_target, twists)
+        columns = rows.derivative(nominal.linearised(np.zeros(len(model)), rows.samples))
 
         weights = np.where(_flagged_from_some_row_on(fitted), 1.0, fitted.estimate.weights)
         counts = rows.used & (weights > 0.0)[:, None]

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.special import stdtr
 
 from calib.basics.arrays import Array, Mask
-from calib.camera import optics
 from calib.diagnosis.augmented_fit import UNLIKELY, AugmentedFit, estimate_jointly
 from calib.diagnosis.patterns import FALSE_ALARM
 from calib.diagnosis.reasons import Reason, Why
@@ -25,6 +24,8 @@ from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.special_cases.pose_covariances import covariance_support
 from calib.model.dh_table import zero_poses
 from calib.model.families import ANGLE, LENGTH, ZERO
+from calib.model.internals import StatedSize
+from calib.model.kinematics import Sightings
 from calib.numerics.errors import rms
 
 #: A base that has moved is named if its effect on the rows is more than this share of that of the arm's corrections.
@@ -45,8 +46,8 @@ _LEAST_FREEDOM = 3.0
 #: Prior standard deviation of a relative change above which nothing was stated.
 _NOT_STATED = 1.0
 
-#: Focal lengths along u and v.
-_FOCAL = (0, 1)
+#: The reason if a stated size of an instrument's internals is wrong, by its name.
+_OFF = {"focal_length": Why.FOCAL_LENGTH_OFF, "board_scale": Why.BOARD_SCALE_OFF}
 
 #: Log-likelihood over that of equal covariances up to which stated ones say nothing.
 _NOTHING = 2.0
@@ -92,7 +93,7 @@ def contradicted_values(fitted: Fitted, *, scale_certified: bool) -> Iterator[Re
                     reach_m=scale.reach,
                     effect_m=scale.hidden * scale.reach,
                 )
-        yield from _wrong_optics(fitted)
+        yield from _wrong_internals(fitted)
     yield from _idle_covariances(fitted)
 
 
@@ -143,7 +144,7 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     twists[:, :3, :3] = R
     twists[:, 3:, 3:] = R
     twists[:, :3, 3:] = np.cross(R, arm[:, :, None], axis=1)
-    columns = rows.derivative(T_frame_target, twists)
+    columns = rows.derivative(Sightings(T_frame_target, twists))
     columns[~seen] = 0.0
 
     # It replaces placement and zero of the first joint.
@@ -229,8 +230,11 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     model, problem = fitted.kinematics.model, fitted.estimate.problem
     rows = problem.rows
     lengths = model.of_robot & (np.array(model.units) == "m")
-    board_scale = range(optics.SCALE.start, optics.SCALE.stop)
-    if not np.any(lengths) or any(p.optic in board_scale for _, p in model.optical):
+    units: set[int] = set()
+    for kind in rows.present:
+        sizes = kind.internals.stated if kind.internals is not None else ()
+        units.update(*(size.columns for size in sizes if size.is_unit_of_length))
+    if not np.any(lengths) or any(p.internal in units for _, p in model.internals):
         return None
 
     T_frame_target = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
@@ -238,7 +242,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     from_base = T_frame_target[:, :3, 3] - T_frame_base[:, :3, 3]
     growth = np.zeros((len(rows), 6, 1))
     growth[:, :3, 0] = from_base
-    columns = rows.derivative(T_frame_target, growth)
+    columns = rows.derivative(Sightings(T_frame_target, growth))
     columns[~rows.where(lambda kind: kind.measures_length)] = 0.0
     known = np.array([[d.length] for d in problem.distances]).reshape(-1, 1)
     measured = bool(np.any(columns))
@@ -257,64 +261,56 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     )
 
 
-def _wrong_optics(fitted: Fitted) -> Iterator[Reason]:
-    """Find focal lengths and boards that seem to differ from what was stated.
+def _wrong_internals(fitted: Fitted) -> Iterator[Reason]:
+    """Find stated sizes, such as focal lengths and boards, that seem to differ from what was stated.
 
     The share is the actual value over the stated one, less 1; all focal lengths of a camera, or a board's scale along x
     and y, have the same.
     """
     rows, setup = fitted.estimate.problem.rows, fitted.setup
-    values = rows.samples.optics
-    if values is None:
-        return
-    stated = {unknown.parameter.name: unknown.sigma for unknown in setup.optics}
-    for why, owner, columns in (
-        (Why.FOCAL_LENGTH_OFF, optics.CAMERA, _FOCAL),
-        (Why.BOARD_SCALE_OFF, optics.BOARD, tuple(range(optics.SCALE.start, optics.SCALE.stop))),
-    ):
-        for number in np.unique(values[rows.is_image, owner]).astype(int).tolist():
-            prior_shares = []
-            for _, parameter in fitted.kinematics.model.optical:
-                if parameter.optic in columns and parameter.samples == ((owner, number),):
-                    # A focal length changes by pixels, a scale by a share.
-                    size = parameter.nominal if parameter.optic in _FOCAL else 1.0
-                    prior_shares.append(stated[parameter.name] / size)
-            if prior_shares and max(prior_shares) >= _NOT_STATED:
-                continue
+    stated = {unknown.parameter.name: unknown.sigma for unknown in setup.internals}
+    for kind in rows.present:
+        values = rows.samples.internals
+        if kind.internals is None or values is None:
+            continue
+        of_kind = rows.where(kind.__eq__)
+        for size in kind.internals.stated:
+            for number in np.unique(values[of_kind, size.owner]).astype(int).tolist():
+                prior_shares = []
+                for _, parameter in fitted.kinematics.model.internals:
+                    of_owner = parameter.samples == ((size.owner, number),)
+                    if parameter.internal in size.columns and of_owner:
+                        # A focal length changes by pixels, a scale by a share.
+                        whole = parameter.nominal if size.relative else 1.0
+                        prior_shares.append(stated[parameter.name] / whole)
+                if prior_shares and max(prior_shares) >= _NOT_STATED:
+                    continue
 
-            derivative = _derivative_by_share(fitted, (owner, number), columns)
-            joint = estimate_jointly(fitted, derivative)
-            share, std, exact = float(joint.b[0]), float(joint.std[0]), not prior_shares
-            freedom = max(float(np.sum(joint.determined)) - 1.0, _LEAST_FREEDOM)
-            limit = UNLIKELY if exact else _CONTRADICTS
-            if abs(share) > _LEAST_SHARE and joint.p_value(freedom) < limit:
-                yield Reason.of(why, share=share, std=std, exact=exact)
+                concerned = of_kind & (values[:, size.owner] == number)
+                derivative = _derivative_by_share(fitted, size, concerned)
+                joint = estimate_jointly(fitted, derivative)
+                share, std, exact = float(joint.b[0]), float(joint.std[0]), not prior_shares
+                freedom = max(float(np.sum(joint.determined)) - 1.0, _LEAST_FREEDOM)
+                limit = UNLIKELY if exact else _CONTRADICTS
+                if abs(share) > _LEAST_SHARE and joint.p_value(freedom) < limit:
+                    yield Reason.of(_OFF[size.name], share=share, std=std, exact=exact)
 
 
-def _derivative_by_share(fitted: Fitted, owner: tuple[int, int], columns: tuple[int, ...]) -> Array:
-    """Return the derivative of the predictions by a relative error of columns of the optics, shape (N, D, 1).
+def _derivative_by_share(fitted: Fitted, size: StatedSize, concerned: Mask) -> Array:
+    """Return the derivative of the predictions by a relative error of a stated size, shape (N, D, 1).
 
-    They are those of one camera or board: ``owner`` is the column that has its number, and the number.
+    Of the rows that the object which has it concerns, (N,).
     """
     rows, x = fitted.estimate.problem.rows, fitted.estimate.x
-    values, stated = fitted.kinematics.optics(x, rows.samples), rows.samples.optics
+    values = rows.samples.internals
     assert values is not None
-    assert stated is not None
-    images = rows.is_image
-    T = fitted.kinematics.poses(x, rows.samples)
-    _, by_optics = optics.image_derivatives(
-        T[images], np.zeros((int(np.sum(images)), 6, 1)), values.values[images]
-    )
-    column_of_owner, number = owner
-    chosen: Mask = values.values[images, column_of_owner] == number
-    result = np.zeros((len(rows), rows.width, 1))
-    of_images = np.zeros((len(by_optics), rows.width))
-    for column in columns:
+    by_internals = rows.derivative_by_internals(fitted.kinematics.sightings(x, rows.samples))
+    result = np.zeros((len(rows), rows.width))
+    for column in size.columns:
         # A focal length grows by a share of the stated one, a scale by the share alone.
-        factor = stated[images, column] if column_of_owner == optics.CAMERA else 1.0
-        of_images[:, :2] += by_optics[:, :, column] * np.reshape(factor * chosen, (-1, 1))
-    result[images, :, 0] = of_images
-    return result
+        factor = values[:, column] if size.relative else 1.0
+        result += by_internals[:, :, column] * np.reshape(factor * concerned, (-1, 1))
+    return result[:, :, None]
 
 
 def _idle_covariances(fitted: Fitted) -> Iterator[Reason]:

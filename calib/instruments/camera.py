@@ -76,11 +76,6 @@ _AT_A_TIME = 128
 Entry = TypeVar("Entry")
 
 
-def is_image(kind: Kind) -> bool:
-    """Return whether rows of a kind are images of the corners of a board."""
-    return kind.optical
-
-
 @dataclass(frozen=True, slots=True)
 class SightLimits(Value):
     """Where a board may be in the camera."""
@@ -128,8 +123,8 @@ class CameraInstrument(Instrument):
     limits: SightLimits
     #: Standard deviation of the board's position in the camera along one axis, by the robot's repeatability [m].
     repeatability: float
-    #: Shape (c, `calib.camera.optics.COUNT`), numbers of lens and print of each corner.
-    optics: Array
+    #: Shape (c, `calib.camera.optics.COUNT`), internals at each corner: the numbers of lens and print.
+    internals: Array
     kind: Kind
     sigma: Mapping[str, float]
     T_instrument_base: Array | None
@@ -184,7 +179,7 @@ class CameraInstrument(Instrument):
             board=board,
             limits=limits,
             repeatability=noise.repeatability,
-            optics=corner_optics(camera, board),
+            internals=corner_internals(camera, board),
             kind=registry.get(PIXEL),
             sigma=sigma,
             T_instrument_base=read_only(np.eye(4) if T_camera_base is None else T_camera_base),
@@ -360,7 +355,7 @@ class CameraInstrument(Instrument):
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
         """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); zero if no corner is seen."""
-        own = [(number, parameter.optic) for number, parameter in model.optical]
+        own = [(number, parameter.internal) for number, parameter in model.internals]
         numbers = [number for number, _ in own]
         columns = [column for _, column in own if column is not None]
         by_own = np.eye(len(model))[numbers]
@@ -381,13 +376,13 @@ class CameraInstrument(Instrument):
 
         Shape (n, 2 c, k), in standard deviations of the noise (n,) [px]; zero for corners outside of the image.
         """
-        corners = len(self.optics)
+        corners = len(self.internals)
         rows = np.repeat(T, corners, axis=0)
         motions = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
-        by_motion, by_optics = optics.image_derivatives(
-            rows, motions, np.tile(self.optics, (len(T), 1))
+        by_motion, by_internals = optics.image_derivatives(
+            rows, motions, np.tile(self.internals, (len(T), 1))
         )
-        by_place = np.concatenate([by_motion, by_optics[:, :, columns]], axis=2)
+        by_place = np.concatenate([by_motion, by_internals[:, :, columns]], axis=2)
         seen = self.visible(T, self.board.corners).reshape(-1, 1, 1)
         sigma = np.repeat(noise, corners)[:, None, None]
         by_place = np.where(seen, by_place / sigma, 0.0)
@@ -448,8 +443,8 @@ def camera_and_board_places(cell: Cell) -> tuple[Array | None, Array | None]:
     return T_camera_base, pose_of(position, cell.target_rotation)
 
 
-def corner_optics(camera: Camera, board: Board) -> Array:
-    """Return the numbers of lens and print of each corner of a board as described.
+def corner_internals(camera: Camera, board: Board) -> Array:
+    """Return the numbers of lens and print at each corner of a board as described.
 
     Args:
         camera: The camera, with intrinsics.

@@ -22,7 +22,6 @@ from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.data.surroundings import Reflector, TrackerNoise
 from calib.errors import ModelError, choices
-from calib.instruments.camera import is_image
 from calib.instruments.instrument import Assumption, Condition, Instrument, Sightline
 from calib.model.parameters import ErrorModel
 from calib.robot.robot import Robot
@@ -63,7 +62,7 @@ class TrackerInstrument(Instrument):
         """
         name = cell.kind or "point"
         kind = registry.get(name)
-        if is_image(kind):
+        if kind.is_image:
             raise ModelError(
                 f"Rows of the kind '{name}' are planned as images: give the camera and the board (--camera, --board "
                 "and --board-at)."
@@ -71,7 +70,7 @@ class TrackerInstrument(Instrument):
         unplaced = kind.own_frame and cell.T_frame_base is None and not cell.frames
         if unplaced or len(cell.frames) > 1 or not kind.free:
             kinds = [registry.get(known) for known in registry.names()]
-            free = [known.name for known in kinds if known.free and not is_image(known)]
+            free = [known.name for known in kinds if known.free and not known.is_image]
             raise ModelError(
                 f"Poses are planned for the kinds {choices(free)}, at one station; of one with a "
                 "frame of its own, such as distances, give the base in it (frame_xyz_mm in the cell "

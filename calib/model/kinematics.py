@@ -8,7 +8,6 @@ joints' own errors dq of `joint_displacements`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -17,13 +16,11 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.values import Value
+from calib.model.internals import InternalValues, changed_internals
 from calib.model.joint_errors import joint_displacements
-from calib.model.parameters import ErrorModel, Parameter
+from calib.model.parameters import ErrorModel
 from calib.robot import kernel
 from calib.robot.robot import Robot
-
-#: In place of the index of a parameter, for a number that is not estimated.
-FIXED = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,9 +35,8 @@ class Samples(Value):
     target: Integers
     #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
     load: Array | None = None
-    #: shape (N, `calib.camera.optics.COUNT`), numbers of camera and board by which images are predicted, before the
-    #: fit; None if there are no cameras.
-    optics: Array | None = None
+    #: Shape (N, c), internals of the instruments before the fit, see `calib.model.internals`; None if they have none.
+    internals: Array | None = None
 
     @classmethod
     def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:
@@ -61,43 +57,25 @@ class Samples(Value):
     def select(self, chosen: Mask | Integers | slice) -> Samples:
         """Return some of the samples: a mask, their indices, or a slice."""
         load = None if self.load is None else self.load[chosen]
-        optics = None if self.optics is None else self.optics[chosen]
-        return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load, optics)
+        internals = None if self.internals is None else self.internals[chosen]
+        return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load, internals)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Optics(Value):
-    """Numbers of camera and board in N samples, and the parameters that add to them."""
+class Sightings(Value):
+    """What the readings of N rows are predicted from: the target as its instrument has it before it."""
 
-    #: shape (N, c), `calib.camera.optics.COUNT` numbers of each sample.
-    values: Array
-    #: shape (N, c), index of the parameter that adds to each number, from 0; `FIXED` for one that is not estimated.
-    parameter: Integers
+    #: Shape (N, 4, 4), pose of each row's target in its measurement frame [m].
+    T_frame_target: Array
+    #: Shape (N, 6, p), motion of each target by each of p parameters, see `Kinematics.twists`; (N, 3, p), translations
+    #: alone, if no row depends on its target's orientation; None: predictions alone are wanted.
+    twists: Array | None = None
+    #: Internals of the instruments, and the parameters that change them; None: as they are before the fit.
+    internals: InternalValues | None = None
 
 
-def changed_optics(
-    samples: Samples, parameters: Sequence[Parameter], x: Array, numbers: Sequence[int]
-) -> Optics | None:
-    """Add the values of parameters to the numbers of camera and board in samples; return None if there are no cameras.
-
-    Args:
-        samples: N samples, with these numbers before the fit.
-        parameters: k parameters of cameras and boards.
-        x: shape (k,), their values.
-        numbers: Their indices among all parameters.
-    """
-    if samples.optics is None:
-        return None
-    values = samples.optics.copy()
-    parameter_of = np.full(values.shape, FIXED)
-    for parameter, value, number in zip(parameters, x, numbers, strict=True):
-        rows = np.ones(len(samples), dtype=bool)
-        for column, selected in parameter.samples:
-            rows &= samples.optics[:, column] == selected
-        values[rows, parameter.optic] += value
-        parameter_of[rows, parameter.optic] = number
-    return Optics(values, parameter_of)
-
+#: Sightings, or T_frame_target (N, 4, 4) alone: then by instruments as they are before the fit.
+SightingsOrPoses: TypeAlias = Sightings | Array
 
 #: Samples, or joint values (N, m) alone: then of the first target, seen from the first frame.
 SamplesOrValues: TypeAlias = Samples | Array
@@ -169,16 +147,35 @@ class Kinematics(Value):
         chain_samples = self._chain_samples(x, samples)
         return kernel.twists(geometry, directions, chain_samples, rotation=rotation)
 
-    def optics(self, x: Array, samples: Samples) -> Optics | None:
-        """Return the numbers of camera and board by which images are predicted; None if there are no cameras.
+    def internals(self, x: Array, samples: Samples) -> InternalValues | None:
+        """Return the internals of the instruments at x; None if those of the samples have none.
 
         Args:
             x: Shape (p,), the parameters in their units.
             samples: N samples.
         """
-        optical = self.model.optical
-        numbers = [k for k, _ in optical]
-        return changed_optics(samples, [parameter for _, parameter in optical], x[numbers], numbers)
+        changes = [(parameter, x[k], k) for k, parameter in self.model.internals]
+        return changed_internals(samples.internals, changes)
+
+    def sightings(self, x: Array, samples: Samples) -> Sightings:
+        """Return what the readings of samples are predicted from.
+
+        Args:
+            x: Shape (p,), the parameters in their units.
+            samples: N samples.
+        """
+        return Sightings(self.poses(x, samples), internals=self.internals(x, samples))
+
+    def linearised(self, x: Array, samples: Samples, *, rotation: bool = True) -> Sightings:
+        """Return what the readings of samples, and their derivatives by all parameters, are predicted from.
+
+        Args:
+            x: Shape (p,), the parameters in their units.
+            samples: N samples.
+            rotation: False if no reading depends on its target's orientation.
+        """
+        poses, twists = self.twists(x, samples, rotation=rotation)
+        return Sightings(poses, twists, self.internals(x, samples))
 
     def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
         """Return all placements displaced by x, and the twist of a unit of each parameter there."""

@@ -58,11 +58,17 @@ class Parameter(Value):
     nominal: float = 0.0
     #: The function of the joint's state that multiplies it; None for 1.
     factor: Factor | None = None
-    #: Column of `calib.camera.optics` that it adds to; None for one that moves its place in its direction.
-    optic: int | None = None
-    #: Columns of `calib.camera.optics` and their values in the samples that it changes: the number of the camera or the
-    #: board, and that of a corner.
+    #: Column of its instrument's internals that it adds to, see `calib.model.internals`; None for one that moves its
+    #: place in its direction.
+    internal: int | None = None
+    #: Columns of the internals and their values in the samples that it changes: the number of the object that has the
+    #: internal (a camera or a board), and that of one point of it (a corner).
     samples: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def of_one_point(self) -> bool:
+        """True for an internal of one point of a target, such as the place of a corner on its print."""
+        return len(self.samples) > 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +98,7 @@ class ErrorModel(Value):
         of_placements = [
             (t, term)
             for t, term in enumerate(self.terms)
-            if term.factor is None and term.optic is None
+            if term.factor is None and term.internal is None
         ]
         names = [term.name for term in self.terms]
         doubled = sorted({name for name in names if names.count(name) > 1})
@@ -138,9 +144,9 @@ class ErrorModel(Value):
         return ~self.family(*SETUP)
 
     @property
-    def optical(self) -> tuple[tuple[int, Parameter], ...]:
-        """Index and parameter of each number of a camera or a board that is estimated."""
-        return tuple((k, p) for k, p in enumerate(self.parameters) if p.optic is not None)
+    def internals(self) -> tuple[tuple[int, Parameter], ...]:
+        """Index and parameter of each internal of an instrument that is estimated."""
+        return tuple((k, p) for k, p in enumerate(self.parameters) if p.internal is not None)
 
     def family(self, *names: str) -> Mask:
         """Return the mask of the parameters that belong to one of the families named, shape (p,)."""

@@ -172,7 +172,7 @@ def _assemble(
         fits.unseen.with_given_fixed(),
         all_rows.select(m.validation),
     )
-    residual_nominal = all_rows.residual(setup.target_poses(T_base_tip, all_rows.samples))
+    residual_nominal = all_rows.residual(setup.sightings(T_base_tip, all_rows.samples))
     if fits.mistake is not None and fits.mistake.why is Why.FRAME_NOT_FOUND:
         # Residuals of a frame in a wrong place say nothing about the robot.
         residual_nominal = np.where(all_rows.used, np.nan, 0.0)

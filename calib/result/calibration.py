@@ -35,6 +35,9 @@ from calib.robot.urdf import Urdf
 #: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
 
+#: Origins of one robot differ by rounding [m; rotation matrices: 1].
+_SAME = 1e-9
+
 #: Arguments of a prediction: where it is made, and with which model.
 _WHERE = ("target", "group", "non_geometric")
 
@@ -524,6 +527,43 @@ class Calibration(Value):
         return _with_origins_of(self.nominal, robot)
 
 
+def is_corrected(result: Calibration, robot: Robot) -> bool:
+    """Return whether a robot has the joint origins that a result corrected, or those that the calibration began with.
+
+    Args:
+        result: The calibration.
+        robot: A robot with the same chain.
+
+    Returns:
+        True for the corrected origins, False for the nominal ones.
+
+    Raises:
+        ModelError: It has neither, or is another chain.
+    """
+    chain = result.nominal
+    if (robot.base, robot.tip) != (chain.base, chain.tip):
+        raise ModelError(
+            f"The result is for --base {chain.base} --tip {chain.tip}, not for '{robot.base}' to "
+            f"'{robot.tip}'."
+        )
+    if not _other_origins(robot, result.corrected(robot)):
+        return True
+    different = _other_origins(robot, result.uncorrected(robot))
+    if not different:
+        return False
+    raise ModelError(
+        f"{robot.urdf.source}: the origin of '{different[0]}' is neither the one that the "
+        "calibration began with nor its corrected one. Give the URDF that the result was made "
+        "with, or the corrected URDF in place of the result."
+    )
+
+
+def _other_origins(robot: Robot, reference: Robot) -> list[str]:
+    """Return the joints whose origins differ by more than rounding."""
+    origins = reference.origins()
+    return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
+
+
 def _with_origins_of(source: Robot, robot: Robot) -> Robot:
     """Return a robot with the joint origins, base and tip of another one, its source, which has the same joints."""
     check_type("robot", robot, Robot, "a Robot")
@@ -558,3 +598,25 @@ def check_same_coupling(robot: Robot, source: Robot) -> None:
             f"those of the robot that it belongs to by {source.reading_coupling}. Give its path in place of the Robot, "
             f"or load it so: Robot.load(..., coupling={source.reading_coupling})."
         )
+
+
+def check_same_joints(robot: Robot, nominal: Robot) -> None:
+    """Refuse two robots whose joints differ in name, type or axis, or in coupled readings; raises `ModelError`.
+
+    Args:
+        robot: A corrected robot.
+        nominal: Its nominal robot.
+    """
+    joints, nominal_joints = _joints(robot), _joints(nominal)
+    if joints != nominal_joints:
+        raise ModelError(
+            f"The robot '{robot.name}' has the joints {choices(joints)}, its nominal robot "
+            f"'{nominal.name}' {choices(nominal_joints)}. Give the nominal URDF that the robot was "
+            "corrected from, with the same base and tip."
+        )
+    check_same_coupling(robot, nominal)
+
+
+def _joints(robot: Robot) -> list[str]:
+    """Return name, type and axis of each joint, as text."""
+    return [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in robot.joints]

@@ -196,6 +196,8 @@ _LAYOUT: JsonLayout = JsonLayout(
             "expected_everywhere": "expected.everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
         },
+        Setup: {"internals": "optics"},
+        Parameter: {"internal": "optic"},
         NonGeometric: {"prior_std": _PRIOR_STD, "gravity": "gravity_m_s2"},
         ResultRows: {
             "numbers": "rows.numbers",

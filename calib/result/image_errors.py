@@ -12,10 +12,9 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.channels import Channels
-from calib.camera.optics import INTRINSICS
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
-from calib.model.kinematics import Optics
+from calib.model.kinematics import Sightings
 from calib.numerics.errors import Errors
 
 #: Percentile that is reported besides mean and largest error.
@@ -85,28 +84,20 @@ def metres_per_pixel(fitted: Fitted, rows: Rows) -> Array | None:
     Returns:
         shape (N,) [m/px], NaN in rows of other kinds; None if no row is an image.
     """
-    x = fitted.estimate.x
-    T_frame_target = fitted.kinematics.poses(x, rows.samples)
-    return length_of_pixels(T_frame_target, fitted.kinematics.optics(x, rows.samples), rows)
+    return length_of_pixels(fitted.kinematics.sightings(fitted.estimate.x, rows.samples), rows)
 
 
-def length_of_pixels(T_frame_target: Array, optics: Optics | None, rows: Rows) -> Array | None:
+def length_of_pixels(sightings: Sightings, rows: Rows) -> Array | None:
     """Return the length at the board that a pixel is, at each corner.
 
     Args:
-        T_frame_target: shape (N, 4, 4), predicted pose of each row's board in its camera [m].
-        optics: Numbers of camera and board; None without images.
+        sightings: Poses of the boards in their cameras, and the cameras' internals.
         rows: N rows.
 
     Returns:
         shape (N,) [m/px], NaN in rows of other kinds; None if no row is an image.
     """
-    is_image = rows.is_image
-    if optics is None or not np.any(is_image):
-        return None
-    depth = rows.points(T_frame_target)[:, 2]
-    focal = np.mean(optics.values[:, INTRINSICS][:, :2], axis=1)
-    return np.where(is_image, depth / np.where(is_image, focal, 1.0), np.nan)
+    return rows.lengths_per_unit(sightings) if np.any(rows.is_image) else None
 
 
 def errors_at_board(residual: Array, channels: Channels, scale: Array) -> Errors:

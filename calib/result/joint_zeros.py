@@ -193,8 +193,7 @@ def _squared_errors(
     def residual_at(q: Array) -> Array:
         """Return measured minus predicted with other readings, shape (N, m), [rad] or [m]."""
         samples, x = replace(rows.samples, q=q), fitted.estimate.x
-        T_frame_target = fitted.kinematics.poses(x, samples)
-        return rows.residual(T_frame_target, fitted.kinematics.optics(x, samples))
+        return rows.residual(fitted.kinematics.sightings(x, samples))
 
     columns = []
     for step in _STEP * np.eye(rows.joints.shape[1]):

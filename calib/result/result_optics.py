@@ -59,7 +59,7 @@ def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOp
         rows: All rows of the table.
         geometry: The fitted model.
     """
-    given, setup, values = fitted.task.cell, fitted.setup, rows.samples.optics
+    given, setup, values = fitted.task.cell, fitted.setup, rows.samples.internals
     cameras: dict[str, Camera] = {}
     boards: dict[str, Board] = {}
     images = np.flatnonzero(rows.is_image)
@@ -147,7 +147,7 @@ def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mappi
 
 def _estimated_numbers(model: FittedModel, family: str) -> Iterator[tuple[int, Parameter, int]]:
     """Yield index, parameter and column of the optics of each number of cameras, or of boards, that was estimated."""
-    for k, parameter in model.kinematics.model.optical:
+    for k, parameter in model.kinematics.model.internals:
         if parameter.family == family:
-            assert parameter.optic is not None
-            yield k, parameter, parameter.optic
+            assert parameter.internal is not None
+            yield k, parameter, parameter.internal

@@ -102,7 +102,7 @@ def _collect_evidence(
         validation=validation,
         doubts=(*noise_doubts(result, fitted, doubts), *doubts),
         images=rows.is_image,
-        parameters=len(model.model) - len(model.model.optical),
+        parameters=len(model.model) - len(model.model.internals),
         full_model_parameters=full_model_parameters,
         changes=bool(np.any(model.x[of_robot])),
         largest=float(np.max(changes, initial=0.0)),

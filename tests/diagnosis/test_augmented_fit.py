@@ -14,6 +14,7 @@ from calib.diagnosis.augmented_fit import (
     estimate_jointly,
     gain_on_blocks,
 )
+from calib.model.kinematics import Sightings
 from calib.model.parameters import FRAME
 from calib.robot.ranges import random_joint_values
 from tests.judged import arm, fit_to, moved, table_of
@@ -38,7 +39,7 @@ def test_unknowns_beside_are_those_of_a_fit_that_has_them(clean):
     columns = np.zeros((len(rows), 6, 6))
     columns[:, :3, :3], columns[:, 3:, 3:] = np.eye(3), np.eye(3)
     columns[:, :3, 3:] = np.cross(np.eye(3), T[:, :3, 3][:, :, None], axis=1)
-    beside = estimate_jointly(known, rows.derivative(T, columns))
+    beside = estimate_jointly(known, rows.derivative(Sightings(T, columns)))
     found = free.estimated_setup().T_frame_base[0]
     np.testing.assert_allclose(beside.b[:3], found[:3, 3], atol=2e-5)
     np.testing.assert_allclose(

@@ -44,7 +44,7 @@ def test_orientations_have_their_own_error(ur3: Robot, q):
     assert misfit(ur3, setup, turned) == pytest.approx((0.0, 0.02), abs=1e-9)
 
 
-def test_images_as_poses_have_the_boards_poses():
+def test_views_as_poses_have_the_boards_poses():
     q = poses(5)
     m = table(q)
     result, c = poses_of_images(arm(), cell(), m)

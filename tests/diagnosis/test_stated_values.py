@@ -11,7 +11,7 @@ from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.stated_values import (
     _idle_covariances,
-    _wrong_optics,
+    _wrong_internals,
     instrument_scale,
     motion_of_base,
 )
@@ -115,7 +115,7 @@ def reasons_of_images(camera, board=BOARD, model="zeros", **made):
     robot = camera_arm()
     c = cell(cameras={"": camera}, boards={"": board})
     rows, setup = rows_and_setup(robot, table(poses(20), noise=0.2, **made), c)
-    return list(_wrong_optics(fit(Task(robot, c, setup, model), rows)))
+    return list(_wrong_internals(fit(Task(robot, c, setup, model), rows)))
 
 
 @pytest.mark.parametrize("exact", [True, False])

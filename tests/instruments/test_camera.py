@@ -26,6 +26,7 @@ from calib.instruments.camera import (
     widest_ray,
 )
 from calib.instruments.instrument import transform
+from calib.model.internals import InternalValues
 from tests.instruments.scenes import BOARD, CAMERA, SIZE, at_places, camera_of, in_hand, pose
 
 WIDTH, HEIGHT = 0.27, 0.18
@@ -213,7 +214,9 @@ def test_images_are_those_of_the_kind_and_nan_outside_of_the_image():
     T[1, 0, 3] += 0.1
     pixels = camera.predict(T)
     rows = np.repeat(T, len(BOARD.corners), axis=0)
-    expected = camera.kind.readings_at(rows, np.tile(camera.optics, (2, 1)))
+    expected = camera.kind.readings_at(
+        rows, InternalValues.fixed(np.tile(camera.internals, (2, 1)))
+    )
     seen = camera.visible(T, BOARD.corners)
     assert seen[0].all()
     assert 0 < seen[1].sum() < len(BOARD.corners)
@@ -228,7 +231,7 @@ def test_coverage_counts_the_cells_of_the_image_with_corners():
     cells = set(zip((u + 0.5) // 160, (v + 0.5) // 160, strict=True))
     assert camera.coverage(T) == pytest.approx(len(cells) / 48)
     assert camera.coverage(np.concatenate([T, centred(1.2)])) >= camera.coverage(T)
-    assert camera.optics.shape == (len(BOARD.corners), optics.COUNT)
+    assert camera.internals.shape == (len(BOARD.corners), optics.COUNT)
 
 
 def test_images_of_a_table_of_corners_count_once():

@@ -131,11 +131,11 @@ def residual_of_images(c, m):
     given = cell(cameras=c.optics.nominal_cameras, boards=c.optics.nominal_boards)
     rows, _ = rows_and_setup(c.nominal, m, given)
     T_camera_board = c.geometry.kinematics.poses(c.geometry.x, rows.samples)
-    changed = c.geometry.kinematics.optics(c.geometry.x, rows.samples).values
+    changed = c.geometry.kinematics.internals(c.geometry.x, rows.samples).values
     predicted = optics.images(T_camera_board, changed)
-    at_solution = c.setup.target_poses(c.robot.poses(m.joints), rows.samples)
-    np.testing.assert_allclose(at_solution, T_camera_board, atol=1e-9)
-    np.testing.assert_allclose(c.setup.optics_at(rows.samples).values, changed, rtol=1e-12)
+    at_solution = c.setup.sightings(c.robot.poses(m.joints), rows.samples)
+    np.testing.assert_allclose(at_solution.T_frame_target, T_camera_board, atol=1e-9)
+    np.testing.assert_allclose(at_solution.internals.values, changed, rtol=1e-12)
     return np.column_stack([m.reading("u"), m.reading("v")]) - predicted
 
 

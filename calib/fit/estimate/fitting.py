@@ -43,15 +43,15 @@ class Fitted(Value):
     estimate: Estimate
 
     def estimated_setup(self) -> Setup:
-        """Return frames, targets, cameras and boards at the solution: the registered ones, displaced by x."""
+        """Return frames, targets and internals of instruments at the solution: the registered ones, changed by x."""
         x = self.estimate.x
         displacement, _ = self.kinematics.model.displacements(x)
-        changes = {parameter.name: float(x[k]) for k, parameter in self.kinematics.model.optical}
-        optics = []
-        for unknown in self.setup.optics:
+        changes = {parameter.name: float(x[k]) for k, parameter in self.kinematics.model.internals}
+        internals = []
+        for unknown in self.setup.internals:
             change = changes.get(unknown.parameter.name, 0.0)
-            optics.append(replace(unknown, change=change))
-        return replace(self.setup.displaced(displacement), optics=tuple(optics))
+            internals.append(replace(unknown, change=change))
+        return replace(self.setup.displaced(displacement), internals=tuple(internals))
 
     def tip_poses(self, samples: Samples) -> Array:
         """T_base_tip of the calibrated robot, non-geometric errors of its joints included.
@@ -105,9 +105,7 @@ class Fitted(Value):
             shape (N, D), in the units of the rows' channels; vectors along the axes of each row's measurement frame; 0
             where nothing was measured.
         """
-        T_frame_target = self.kinematics.poses(self.estimate.x, rows.samples)
-        optics = self.kinematics.optics(self.estimate.x, rows.samples)
-        return rows.residual(T_frame_target, optics)
+        return rows.residual(self.kinematics.sightings(self.estimate.x, rows.samples))
 
     def held_out_scores(self, rows: Rows) -> Array:
         """Score rows that the fit did not use by their distance from what it predicts; see `calib.numerics.scores`.

@@ -69,11 +69,11 @@ class PriorTerms:
             constrained = [name for name in constrained if name in model.names]
         numbers = [model.index(name) for name in constrained]
         origin = _origins(task.setup, registered, model, numbers)
-        of_optics = {unknown.parameter.name: unknown for unknown in registered.optics}
-        optical_std = {name: unknown.sigma for name, unknown in of_optics.items()}
-        for k, _ in model.optical:
-            origin[k] = of_optics[model.names[k]].mean
-        known_std = {**optical_std, **cell.parameter_priors}
+        unknowns = {unknown.parameter.name: unknown for unknown in registered.internals}
+        std_of_internals = {name: unknown.sigma for name, unknown in unknowns.items()}
+        for k, _ in model.internals:
+            origin[k] = unknowns[model.names[k]].mean
+        known_std = {**std_of_internals, **cell.parameter_priors}
         std = np.array([known_std.get(name, np.nan) for name in model.names])
         has_own = np.isfinite(std)
         of_setup = model.family(FRAME, TARGET)

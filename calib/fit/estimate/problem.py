@@ -180,9 +180,7 @@ class Problem(Value):
             shape (N, D), in the units of the rows' channels; vectors along the axes of each row's measurement frame;
             not divided by their standard deviations; 0 where nothing was measured.
         """
-        T_frame_target = self.kinematics.poses(x, self.rows.samples)
-        optics = self.kinematics.optics(x, self.rows.samples)
-        return self.rows.residual(T_frame_target, optics)
+        return self.rows.residual(self.kinematics.sightings(x, self.rows.samples))
 
     def jacobian(self, x: Array) -> Array:
         """Jacobian of the prediction, which is minus that of the residual.
@@ -229,12 +227,11 @@ class Problem(Value):
         for part in rows.parts(PART):
             part_rows = rows.select(part)
             width = part_rows.width
-            poses, twists = self.kinematics.twists(x, part_rows.samples, rotation=rotation)
+            seen = self.kinematics.linearised(x, part_rows.samples, rotation=rotation)
             if width < rows.width:  # these rows lack a kind that others have
                 columns[:, width:, part] = 0.0
-            optics = self.kinematics.optics(x, part_rows.samples)
-            derivative = part_rows.standardise(part_rows.derivative(poses, twists, optics))
-            residual = part_rows.standardise(part_rows.residual(poses, optics))
+            derivative = part_rows.standardise(part_rows.derivative(seen))
+            residual = part_rows.standardise(part_rows.residual(seen))
             columns[:-1, :width, part] = derivative.transpose(2, 1, 0)
             columns[-1][:width, part] = residual.T
         return columns
@@ -244,8 +241,8 @@ class Problem(Value):
 
         Rows without weight do not count, except those of sole postures (which no other row can check). Angles and
         pixels count as lengths, by the ratio of their given sigmas. If the arm's size is held, its growth counts as not
-        determined. Priors of cameras and boards count: they are what was stated or measured, as the print of a board
-        was; those of the robot are not.
+        determined. Priors of internals of instruments count: they are what was stated or measured, as the print of a
+        board was; those of the robot are not.
 
         Args:
             x: shape (p,), offsets [m, rad, ...].
@@ -265,9 +262,9 @@ class Problem(Value):
         sigma = np.array([distance.sigma for distance in self.distances])
         _, whitened = self._distance_residuals(x)
         of_distances = whitened * sigma[:, None]
-        optical = [k for k, _ in model.optical]
-        of_optics = np.diag(np.sqrt(self.prior_precision))[optical] * np.median(rows.sigma["m"])
-        known = np.concatenate([jacobian, of_distances, of_optics])
+        internal = [k for k, _ in model.internals]
+        of_internals = np.diag(np.sqrt(self.prior_precision))[internal] * np.median(rows.sigma["m"])
+        known = np.concatenate([jacobian, of_distances, of_internals])
         return analyse(known, model.names, model.units)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:

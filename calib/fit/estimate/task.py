@@ -66,7 +66,7 @@ class Task(Value):
             targets=setup.target_names,
             rotation=setup.rotation,
             gravity=self.cell.gravity,
-            further=[unknown.parameter for unknown in setup.optics],
+            further=[unknown.parameter for unknown in setup.internals],
         )
         frozen = self.cell.frozen
         ties = self.cell.ties
@@ -75,9 +75,9 @@ class Task(Value):
         leaders = [leader for leader, _ in ties.values()]
         tied = {*ties, *leaders}
         of_setup = [p.name for p in model.parameters if p.family in (FRAME, TARGET)]
-        of_optics = [parameter.name for _, parameter in model.optical]
+        of_instruments = [parameter.name for _, parameter in model.internals]
         refused = [name for name in of_setup if name in {*frozen, *tied}]
-        refused += [name for name in of_optics if name in tied]
+        refused += [name for name in of_instruments if name in tied]
         if refused:
             raise ModelError(
                 f"{choices(refused)} cannot be frozen or tied: a frame or target is whole, and numbers of a camera or "

@@ -121,7 +121,7 @@ def is_plausible(setup: Setup, T_base_tip: Array, rows: Rows) -> bool:
     Returns:
         False if the median of any unit is beyond its limit.
     """
-    residual = rows.residual(setup.target_poses(T_base_tip, rows.samples))
+    residual = rows.residual(setup.sightings(T_base_tip, rows.samples))
     for unit in rows.channels.present:
         typical = float(np.nanmedian(rows.channels.norms(residual, unit)))
         if typical > RESIDUAL_UNITS[unit].absurd:

@@ -1,4 +1,4 @@
-"""Labels of rows as numbers: names, merged labels, and repeated poses."""
+"""Labels of rows as numbers: merged labels, and repeated poses."""
 
 from __future__ import annotations
 
@@ -13,23 +13,6 @@ from calib.basics.arrays import Array, Integers
 
 #: Rows whose joint values differ by no more than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3
-
-
-def numbered(words: Sequence[str], names: Sequence[str]) -> Integers:
-    """Return the index of words in a list of names.
-
-    Args:
-        words: N words.
-        names: Different names, which all words are among.
-
-    Returns:
-        shape (N,), index of each word in ``names``, from 0.
-
-    Raises:
-        KeyError: A word is not among the names.
-    """
-    number = {name: i for i, name in enumerate(names)}
-    return np.array([number[word] for word in words], dtype=np.int_)
 
 
 def joined_labels(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integers:

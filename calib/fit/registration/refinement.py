@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -96,8 +97,7 @@ def refine_best(starts: Iterable[Setup], T_base_tip: Array, rows: Rows, toleranc
 
     def sum_of_squares(setup: Setup) -> float:
         """Return the sum of squared residuals of a setup, in units of each scalar's sigma."""
-        T_frame_target = setup.target_poses(T_base_tip, rows.samples)
-        residual = rows.residual(T_frame_target, setup.optics_at(rows.samples)) / rows.scales
+        residual = rows.residual(setup.sightings(T_base_tip, rows.samples)) / rows.scales
         return float(np.sum(residual[rows.used] ** 2))
 
     turned = [with_measured_target_rotations(start, T_base_tip, rows) for start in starts]
@@ -143,12 +143,11 @@ def _system(
     """
     displacement, directions = model.displacements(x)
     displaced = setup.displaced(displacement)
-    T_frame_target = displaced.target_poses(T_base_tip, rows.samples)
-    twists = _twists(model, directions, displaced, T_frame_target, rows)
+    seen = displaced.sightings(T_base_tip, rows.samples)
+    twists = _twists(model, directions, displaced, seen.T_frame_target, rows)
     scales = rows.scales
-    optics = setup.optics_at(rows.samples)
-    residual = rows.residual(T_frame_target, optics) / scales
-    derivative = rows.derivative(T_frame_target, twists.transpose(2, 1, 0), optics)
+    residual = rows.residual(seen) / scales
+    derivative = rows.derivative(replace(seen, twists=twists.transpose(2, 1, 0)))
     jacobian = derivative / -scales[:, :, None]
     return residual[rows.used], jacobian[rows.used]
 

@@ -11,17 +11,17 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.errors import MeasurementError
-from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.closed_form import linear_setup
 from calib.fit.registration.frame_search import find_frame, frames_to_search
 from calib.fit.registration.refinement import find_starts, refine_best
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.views import views_as_poses
 
 #: Rows that are enough for a registration, shared by the pairs of a frame and a target.
 _ROWS = 200
 
-#: Images that are enough for a registration, shared in the same way.
+#: Views that are enough for a registration, shared in the same way.
 _VIEWS = 60
 
 #: The fewest rows of each pair of a frame and a target; with no more rows in all none is left out.
@@ -80,7 +80,7 @@ def register_all_rows(
     """
     if not setup.count:
         return setup
-    if np.any(rows.where(lambda kind: kind.optical)):
+    if np.any(rows.has_views):
         starts = [_register_to_views(setup, T_base_tip, rows, tolerance)]
     else:
         linear = linear_setup(setup, T_base_tip, rows)
@@ -98,8 +98,8 @@ def register_all_rows(
 
 
 def _register_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """Register cameras and boards to the poses of the boards in single views, without those that are far off."""
-    poses, source_rows = images_as_poses(rows)
+    """Register frames and targets to the poses of the targets in single views, without those that are far off."""
+    poses, source_rows = views_as_poses(rows)
     T_base_tip = T_base_tip[source_rows]
     registered = register_all_rows(T_base_tip, setup, poses, tolerance=tolerance)
     # A board nearly head on may be taken for its mirror image.
@@ -202,7 +202,7 @@ def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
     None if too few are left, of all rows or of a frame's.
     """
     measuring = np.any(rows.used, axis=1)
-    residual = rows.residual(setup.target_poses(T_base_tip, rows.samples))
+    residual = rows.residual(setup.sightings(T_base_tip, rows.samples))
     distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
     limit = _OUTLIER * np.median(distance[measuring])
     near = (distance <= limit) | ~measuring
@@ -248,7 +248,7 @@ def _subsample(rows: Rows) -> Mask:
     """Mask of rows that are enough for a registration, evenly spaced for each frame and target; pairs stay whole."""
     if len(rows) <= _FEWEST_ROWS:
         return np.ones(len(rows), dtype=bool)
-    is_image = rows.where(lambda kind: kind.optical)
+    in_view = rows.has_views
     samples = rows.samples
     # Each pair of a frame and a target has a number.
     targets = int(samples.target.max()) + 1
@@ -258,10 +258,10 @@ def _subsample(rows: Rows) -> Mask:
     mask = np.zeros(len(rows), dtype=bool)
     for pair in pairs:
         of_pair = seen_pair == pair
-        mask[_evenly_spaced(np.flatnonzero(of_pair & ~is_image & (rows.kind != NONE)), most)] = True
-        poses = np.unique(rows.blocks[of_pair & is_image])
+        mask[_evenly_spaced(np.flatnonzero(of_pair & ~in_view & (rows.kind != NONE)), most)] = True
+        poses = np.unique(rows.blocks[of_pair & in_view])
         chosen = _evenly_spaced(poses, max(_VIEWS // len(pairs), _FEWEST_ROWS))
-        mask |= of_pair & is_image & np.isin(rows.blocks, chosen)  # images are kept whole
+        mask |= of_pair & in_view & np.isin(rows.blocks, chosen)  # views are kept whole
     return rows.with_partners(mask)
 
 

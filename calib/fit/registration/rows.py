@@ -10,10 +10,10 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.channels import Channels, channels_of, residual_unit
 from calib.basics.values import ReadOnlyMapping
-from calib.camera.optics import board_points
 from calib.data.covariances import may_have_covariance
 from calib.data.kinds import Kind
-from calib.model.kinematics import FIXED, Optics, Samples
+from calib.model.internals import InternalValues
+from calib.model.kinematics import Samples, Sightings, SightingsOrPoses
 from calib.numerics.correlated_noise import POSE, PoseNoise, standardisers
 
 #: Index of the kind of rows that hold no measurement themselves: the second rows of pairs.
@@ -245,8 +245,13 @@ class Rows:
 
     @property
     def is_image(self) -> Mask:
-        """Rows that are corners in images, shape (N,)."""
-        return self.where(lambda kind: kind.optical)
+        """Rows that are points of a board in images, shape (N,)."""
+        return self.where(lambda kind: kind.is_image)
+
+    @property
+    def has_views(self) -> Mask:
+        """Rows of which many together, those of one view, determine the pose of the target, shape (N,)."""
+        return self.where(lambda kind: kind.internals is not None)
 
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """Rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
@@ -287,59 +292,70 @@ class Rows:
             by_joints=None if self.by_joints is None else self.by_joints[chosen],
         )
 
-    def residual(self, T_frame_target: Array, optics: Optics | None = None) -> Array:
+    def residual(self, sightings: SightingsOrPoses) -> Array:
         """Return measured minus predicted.
 
         Args:
-            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
-            optics: Numbers of camera and board; None: those before the fit.
+            sightings: Poses of the N targets, and the internals of their instruments.
 
         Returns:
             shape (N, D), in the units of ``channels``; 0 where nothing was measured.
         """
+        seen = sightings if isinstance(sightings, Sightings) else Sightings(sightings)
         result = np.zeros((len(self), self.width))
         for kind, rows in self._by_kind:
             measured = self.measured[rows, : kind.size]
-            predicted = self._at_kind(kind, rows, T_frame_target)
-            values = kind.residual_of(measured, predicted, self._optics_at(kind, rows, optics))
-            result[rows, : len(kind.units)] = values
+            poses = self._at_kind(kind, rows, seen.T_frame_target)
+            internals = self._internals_at(kind, rows, seen)
+            result[rows, : len(kind.units)] = kind.residual_of(measured, poses, internals)
         return result
 
-    def derivative(
-        self, T_frame_target: Array, twists: Array, optics: Optics | None = None
-    ) -> Array:
+    def derivative(self, sightings: Sightings) -> Array:
         """Return the Jacobian of the prediction by the parameters: minus that of the residual.
 
         Args:
-            T_frame_target: shape (N, 4, 4), predicted pose of each row's target in its frame [m].
-            twists: shape (N, 6, p), motion of the target by each parameter, along the frame's axes; see
-                `Kinematics.twists`. (N, 3, p), translations alone, if no row depends on its target's orientation.
-            optics: Numbers of camera and board, and the parameters that change them; None: those before the fit,
-                which none of the p parameters changes.
+            sightings: Poses of the N targets and their motions by each of p parameters; and the internals of their
+                instruments, with the parameters that change them.
 
         Returns:
             shape (N, D, p); 0 where nothing was measured.
         """
-        shape = (len(self), self.width, twists.shape[2])
+        assert sightings.twists is not None, "sightings without motions"
+        shape = (len(self), self.width, sightings.twists.shape[2])
         result: Array | None = None
         for kind, rows in self._by_kind:
             measured = self.measured[rows, : kind.size]
-            predicted = self._at_kind(kind, rows, T_frame_target)
-            moved = self._at_kind(kind, rows, twists)
-            if kind.optical:
-                values = self._optics_at(kind, rows, optics)
-                by_motion, by_optics = kind.derivative(measured, predicted, moved, values)
-                if optics is not None:
-                    add_by_parameter(by_motion, by_optics, optics.parameter[rows])
-                of_kind = np.asarray(by_motion)
-            else:
-                of_kind = np.asarray(kind.derivative(measured, predicted, moved))
+            poses = self._at_kind(kind, rows, sightings.T_frame_target)
+            moved = self._at_kind(kind, rows, sightings.twists)
+            internals = self._internals_at(kind, rows, sightings)
+            of_kind = kind.derivative_of(measured, poses, moved, internals)
             if of_kind.shape == shape:
                 return of_kind  # the only kind, and all columns
             if result is None:
                 result = np.zeros(shape)
             result[rows, : len(kind.units)] = of_kind
         return np.zeros(shape) if result is None else result
+
+    def derivative_by_internals(self, sightings: Sightings) -> Array:
+        """Return the derivative of the prediction by each of the c internals of a row's instrument.
+
+        Args:
+            sightings: Poses of the N targets, and the internals of their instruments.
+
+        Returns:
+            shape (N, D, c), in the units of ``channels`` per unit of each; 0 in rows whose instrument has none.
+        """
+        assert self.samples.internals is not None, "instruments without internals"
+        result = np.zeros((len(self), self.width, self.samples.internals.shape[1]))
+        for kind, rows in self._by_kind:
+            internals = self._internals_at(kind, rows, sightings)
+            if internals is not None:
+                measured = self.measured[rows, : kind.size]
+                poses = self._at_kind(kind, rows, sightings.T_frame_target)
+                at_rest = np.zeros((len(measured), 6, 1))
+                _, of_kind = kind.derivative(measured, poses, at_rest, internals.values)
+                result[rows, : len(kind.units)] = of_kind
+        return result
 
     def points(self, T_frame_target: Array) -> Array:
         """Return the measured point of each row: its target's origin, or a corner of the board.
@@ -351,18 +367,29 @@ class Rows:
             shape (N, 3), in the row's measurement frame [m].
         """
         result: Array = T_frame_target[:, :3, 3].copy()
-        if self.samples.optics is None:
-            return result
-        on_board = board_points(self.samples.optics)
-        return np.asarray(result + np.einsum("nij,nj->ni", T_frame_target[:, :3, :3], on_board))
+        for kind, rows in self._by_kind:
+            if kind.internals is not None and self.samples.internals is not None:
+                on_target = kind.internals.points(self.samples.internals[rows])
+                turned = np.einsum("nij,nj->ni", T_frame_target[rows, :3, :3], on_target)
+                result[rows] += turned
+        return result
 
-    def _optics_at(self, kind: Kind, rows: Integers | slice, optics: Optics | None) -> Array | None:
-        """Numbers of camera and board at the rows of an optical kind; None for another kind."""
-        if not kind.optical:
-            return None
-        values = self.samples.optics if optics is None else optics.values
-        assert values is not None
-        return values[rows]
+    def lengths_per_unit(self, sightings: Sightings) -> Array:
+        """Return the length at the measured point that a unit of a row's reading is, such as of a pixel.
+
+        Args:
+            sightings: Poses of the N targets, and the internals of their instruments.
+
+        Returns:
+            shape (N,) [m per unit]; NaN in rows whose instrument has no internals.
+        """
+        points = self.points(sightings.T_frame_target)
+        result = np.full(len(self), np.nan)
+        for kind, rows in self._by_kind:
+            internals = self._internals_at(kind, rows, sightings)
+            if kind.internals is not None and internals is not None:
+                result[rows] = kind.internals.lengths(points[rows], internals.values)
+        return result
 
     def as_measured_at(self, T_frame_target: Array) -> Rows:
         """Return the rows with the readings of a perfect instrument.
@@ -373,10 +400,21 @@ class Rows:
         measured = self.measured.copy()
         for kind, rows in self._by_kind:
             if kind.measure is not None:
-                predicted = self._at_kind(kind, rows, T_frame_target)
-                readings = kind.readings_at(predicted, self._optics_at(kind, rows, None))
-                measured[rows, : kind.size] = readings
+                poses = self._at_kind(kind, rows, T_frame_target)
+                internals = self._internals_at(kind, rows, Sightings(T_frame_target))
+                measured[rows, : kind.size] = kind.readings_at(poses, internals)
         return replace(self, measured=measured)
+
+    def _internals_at(
+        self, kind: Kind, rows: Integers | slice, sightings: Sightings
+    ) -> InternalValues | None:
+        """Internals of the instrument at the n rows of one kind; None if it has none."""
+        if kind.internals is None:
+            return None
+        if sightings.internals is not None:
+            return sightings.internals.select(rows)
+        assert self.samples.internals is not None
+        return InternalValues.fixed(self.samples.internals[rows])
 
     def _at_kind(self, kind: Kind, rows: Integers | slice, values: Array) -> Array:
         """Values (N, ...) at the n rows of one kind, (n, ...); of a paired kind at both its rows, (n, 2, ...)."""
@@ -438,16 +476,3 @@ class Rows:
         if np.any(self.partner >= 0):
             size = max(len(self), 1)
         return [slice(k, k + size) for k in range(0, len(self), size)]
-
-
-def add_by_parameter(jacobian: Array, by_optics: Array, parameter: Integers) -> None:
-    """Add the derivative by numbers of camera and board to that by the parameters that change them, in place.
-
-    Args:
-        jacobian: shape (n, s, p), derivative by the parameters.
-        by_optics: shape (n, s, c), derivative by c numbers of each row.
-        parameter: shape (n, c), index of the parameter that changes each; `FIXED` for none.
-    """
-    for optic in np.flatnonzero(np.any(parameter != FIXED, axis=0)).tolist():
-        rows = np.flatnonzero(parameter[:, optic] != FIXED)
-        jacobian[rows, :, parameter[rows, optic]] += by_optics[rows, :, optic]

@@ -16,22 +16,9 @@ import numpy as np
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value
 from calib.model.error_model import DIRECTIONS
-from calib.model.kinematics import FIXED, Optics, Samples, changed_optics
+from calib.model.internals import FIXED, InternalUnknown, changed_internals
+from calib.model.kinematics import Samples, Sightings
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OpticalUnknown(Value):
-    """A number of a camera or a board that is estimated, and what is known of it beforehand."""
-
-    #: The parameter: the change from the number with which images are predicted before the fit
-    parameter: Parameter
-    #: Mean of its prior, in its unit: 0 if the fit begins at what was given
-    mean: float
-    #: Standard deviation of its prior, in its unit
-    sigma: float
-    #: The change as estimated, in its unit; 0 before the fit
-    change: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +48,8 @@ class Setup(Value):
     own_axes: Mask
     #: Whether the targets' orientations are known, measured or given
     oriented: bool = False
-    #: Numbers of cameras and boards that are estimated
-    optics: tuple[OpticalUnknown, ...] = ()
+    #: Internals of the instruments that are estimated
+    internals: tuple[InternalUnknown, ...] = ()
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
@@ -141,14 +128,16 @@ class Setup(Value):
         T_frame_tip = self.T_frame_base[samples.frame] @ T_base_tip
         return np.asarray(T_frame_tip @ self.T_tip_target[samples.target])
 
-    def optics_at(self, samples: Samples) -> Optics | None:
-        """Return the numbers of camera and board by which images in samples are predicted; None without cameras.
+    def sightings(self, T_base_tip: Array, samples: Samples) -> Sightings:
+        """Return what the readings of samples are predicted from; no parameter changes the internals.
 
-        They count as fixed: no parameter of a derivative changes them.
+        Args:
+            T_base_tip: shape (N, 4, 4), pose of the tip at each sample [m].
+            samples: Their frames, targets and instruments.
         """
-        parameters = [unknown.parameter for unknown in self.optics]
-        changes = np.array([unknown.change for unknown in self.optics])
-        return changed_optics(samples, parameters, changes, [FIXED] * len(parameters))
+        changes = [(unknown.parameter, unknown.change, FIXED) for unknown in self.internals]
+        internals = changed_internals(samples.internals, changes)
+        return Sightings(self.target_poses(T_base_tip, samples), internals=internals)
 
     def seen_by(self, samples: Samples) -> tuple[Mask, Mask]:
         """Return the frames, shape (F,), and the targets, shape (T,), that occur in samples."""

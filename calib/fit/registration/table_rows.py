@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.basics.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers, numbered
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.camera.optics import CORNER
 from calib.data.cell import AUTO, Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
-from calib.fit.registration.labels import joined_labels, numbered, same_poses
+from calib.fit.registration.labels import joined_labels, same_poses
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.table_optics import initial_optics
-from calib.fit.registration.table_setup import measurement_setup
+from calib.fit.registration.table_setup import measurement_setup, with_internals
 from calib.model.error_model import split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
@@ -54,13 +50,13 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     partner = np.where(kind == NONE, -1, partner)
 
     setup = measurement_setup(cell, measurements, kinds, kind)
-    optics, unknowns = initial_optics(measurements, cell, setup, pose)
+    setup, internals = with_internals(setup, measurements, cell, pose)
     samples = Samples(
         q=q,
         frame=numbered(measurements.groups, setup.groups),
         target=numbered(measurements.targets, setup.targets),
         load=joint_loads(robot, measurements, cell, q) if _needs_loads(cell) else None,
-        optics=optics,
+        internals=internals,
     )
     pairs = [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]
     rows = Rows(
@@ -71,10 +67,10 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         partner=partner,
         sigma=_sigma_by_unit(measurements, cell),
         covariances=measurements.covariances,
-        poses=_repeats(pose, samples, kind, partner),
+        poses=_repeats(pose, samples, kinds, kind, partner),
         blocks=joined_labels(pose, pairs),
     )
-    return rows, replace(setup, optics=unknowns)
+    return rows, setup
 
 
 def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) -> Array:
@@ -118,17 +114,25 @@ def _sigma_by_unit(measurements: Measurements, cell: Cell) -> dict[str, Array]:
     return result
 
 
-def _repeats(pose: Integers, samples: Samples, kind: Integers, partner: Integers) -> Integers:
-    """Number the rows so that repeats, of one pose, frame, target and kind, have one number, shape (N,).
+def _repeats(
+    pose: Integers,
+    samples: Samples,
+    kinds: tuple[Kind, ...],
+    kind_of_row: Integers,
+    partner: Integers,
+) -> Integers:
+    """Number the rows so that repeats, of one pose, frame, target, point of it and kind, have one number, shape (N,).
 
     Repeats of a pair repeat both its rows.
     """
     poses = int(pose.max(initial=-1)) + 1
     if poses == len(pose):
         return pose  # no pose is repeated
-    labels = np.column_stack([pose, samples.frame, samples.target, kind])
-    if samples.optics is not None:
-        labels = np.column_stack([labels, samples.optics[:, CORNER]])
+    labels = np.column_stack([pose, samples.frame, samples.target, kind_of_row])
+    for k, kind in enumerate(kinds):
+        if kind.internals is not None and samples.internals is not None:
+            point = samples.internals[:, kind.internals.point_number]
+            labels = np.column_stack([labels, np.where(kind_of_row == k, point, 0.0)])
     labels_of_partner = np.where((partner >= 0)[:, None], labels[partner], -1)
     both = np.hstack([labels, labels_of_partner])
     _, number = np.unique(both, axis=0, return_inverse=True)

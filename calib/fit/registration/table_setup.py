@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
-from calib.basics.arrays import Integers, read_only
+from calib.basics.arrays import Array, Integers, read_only
 from calib.data.cell import Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
 from calib.fit.registration.rows import NONE
 from calib.fit.registration.setup import Setup
+from calib.instruments.internals import initial_internals
 from calib.model.error_model import DIRECTIONS
 
 
@@ -81,6 +83,35 @@ def measurement_setup(
         own_axes=np.array(own_axes),
         oriented=cell.target_rotation is not None or rotation,
     )
+
+
+def with_internals(
+    setup: Setup, measurements: Measurements, cell: Cell, pose: Integers
+) -> tuple[Setup, Array | None]:
+    """Add the internals of the instruments to the setup of a table.
+
+    Args:
+        setup: The table's stations and targets.
+        measurements: Table of N rows.
+        cell: What is known of the instruments.
+        pose: shape (N,), number of the robot's pose at each row.
+
+    Returns:
+        The setup, with the internals that are estimated; and the internals of each row before the fit, shape (N, c),
+        None if the instruments have none.
+
+    Raises:
+        MeasurementError: What is known of an instrument is not enough, or contradicts its rows.
+    """
+    frames, targets = setup.places
+    values, unknowns = initial_internals(
+        measurements,
+        cell,
+        dict(zip(setup.groups, frames, strict=True)),
+        dict(zip(setup.targets, targets, strict=True)),
+        pose,
+    )
+    return replace(setup, internals=unknowns), values
 
 
 def _check_names(

@@ -58,9 +58,7 @@ def residual_after_registration(
     if unseen.count:
         good = held_out_rows.without(outliers[held_out])
         setup = register_all_rows(T_base_tip[good], unseen, held_out_rows.select(good))
-    T_frame_target = setup.target_poses(T_base_tip, held_out_rows.samples)
-    optics = setup.optics_at(held_out_rows.samples)
-    return held_out_rows.residual(T_frame_target, optics)
+    return held_out_rows.residual(setup.sightings(T_base_tip, held_out_rows.samples))
 
 
 def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:

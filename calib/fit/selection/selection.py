@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import read_only
-from calib.camera.optics import OFFSET
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
@@ -78,7 +77,7 @@ def select(task: Task, rows: Rows) -> Selection:
     start = without_vanished_families(largest, reference.estimate.prior_std)
     # With the rows of sole postures marked.
     marked_rows = reference.estimate.problem.rows
-    search_task, search_rows = with_known_corners(task, reference, marked_rows)
+    search_task, search_rows = with_known_points(task, reference, marked_rows)
     search = Search(search_task, search_rows, reference, tuple(geometries), families)
     selection = _select_by(search, start)
 
@@ -109,8 +108,8 @@ def _select_by(search: Search, start: str) -> Selection:
     return Selection(geometry, non_geometric, candidates, fitted)
 
 
-def with_known_corners(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Rows]:
-    """Return a task and its rows with the corners of boards known, at the places that a fit estimated.
+def with_known_points(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Rows]:
+    """Return a task and its rows with internals of single points of targets known, as a fit estimated them.
 
     Every corner of a print has two errors of its own, often more than the robot has parameters. They hardly depend on
     the robot's model, so candidates are compared with the corners where a first fit has them.
@@ -121,17 +120,18 @@ def with_known_corners(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Ro
         rows: N rows.
 
     Returns:
-        The same task and rows if no corner's place is estimated.
+        The same task and rows if nothing of single points is estimated.
     """
-    optics = fitted.kinematics.optics(fitted.estimate.x, rows.samples)
-    if optics is None or rows.samples.optics is None:
+    estimated = fitted.kinematics.internals(fitted.estimate.x, rows.samples)
+    if estimated is None or rows.samples.internals is None:
         return task, rows
-    columns = range(OFFSET.start, OFFSET.stop)
-    kept = [unknown for unknown in task.setup.optics if unknown.parameter.optic not in columns]
-    if len(kept) == len(task.setup.optics):
+    of_points = [u for u in task.setup.internals if u.parameter.of_one_point]
+    if not of_points:
         return task, rows
-    values = rows.samples.optics.copy()
-    values[:, OFFSET] = optics.values[:, OFFSET]
-    samples = replace(rows.samples, optics=read_only(values))
-    setup = replace(task.setup, optics=tuple(kept))
+    kept = [u for u in task.setup.internals if not u.parameter.of_one_point]
+    columns = sorted({c for u in of_points if (c := u.parameter.internal) is not None})
+    values = rows.samples.internals.copy()
+    values[:, columns] = estimated.values[:, columns]
+    samples = replace(rows.samples, internals=read_only(values))
+    setup = replace(task.setup, internals=tuple(kept))
     return replace(task, setup=setup), replace(rows, samples=samples)

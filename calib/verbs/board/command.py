@@ -36,7 +36,13 @@ class DesignOptions:
     @classmethod
     def of_typed(cls, typed: Mapping[str, Any]) -> DesignOptions:
         """Return the options from the values of `parameters`, by name."""
-        return cls({name: value for name, value in typed.items() if value not in (None, False)})
+        return cls(
+            {
+                name: value
+                for name, value in typed.items()
+                if value is not None and value is not False
+            }
+        )
 
 
 @verb("""Draw a board to print, true to scale, with its description.

@@ -10,7 +10,6 @@ import numpy as np
 import calib.verbs.calibrate.text as texts
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.camera.optics import CORNER
 from calib.model.families import unit_of
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
@@ -159,9 +158,7 @@ def correlation_indices(c: Calibration) -> list[int]:
 
     The places of single corners on a board are left out: there are many, and the figure of the board has them.
     """
-    of_corners = [
-        any(column == CORNER for column, _ in parameter.samples) for parameter in c.model.parameters
-    ]
+    of_corners = [parameter.of_one_point for parameter in c.model.parameters]
     return [
         k
         for k, (p, of_corner) in enumerate(zip(c.parameters, of_corners, strict=True))

@@ -10,7 +10,6 @@ import pinocchio as pin
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array
-from calib.camera import optics
 from calib.data.kinds import Kind
 from calib.model.error_model import placed_name
 from calib.model.parameters import BOARD, CAMERA, Parameter
@@ -24,7 +23,7 @@ _GIVEN_WRONGLY = 5e-3
 #: Digits after the point of a number of a lens, by its unit.
 _DIGITS = {"px": 1, "1": 4}
 
-#: An optical parameter and its estimate.
+#: A number of a camera or a board that was estimated, and its estimate.
 _Estimated = tuple[Parameter, ParameterEstimate]
 
 
@@ -103,7 +102,7 @@ def _frame_place(c: Calibration, T_frame_base: Array, kinds: Sequence[Kind]) -> 
     """Word the place of an estimated frame in which there are rows of some kinds."""
     position = T_frame_base[:3, 3]
     base = c.nominal.base
-    if any(kind.optical for kind in kinds):
+    if any(kind.is_image for kind in kinds):
         T_base_camera = np.asarray(np.linalg.inv(T_frame_base))
         return f"estimated at {_position(T_base_camera[:3, 3])}{_rpy(T_base_camera)} in {base}"
     if _is_point(kinds):
@@ -145,13 +144,13 @@ def _half_widths(c: Calibration, place: str, directions: Iterable[str], name: st
     return ", ".join(half_widths)
 
 
-def optics_sentences(c: Calibration) -> list[str]:
+def camera_and_board_sentences(c: Calibration) -> list[str]:
     """Word the numbers of each camera, and the errors of each printed board, that were estimated."""
     pairs = list(zip(c.model.parameters, c.parameters, strict=True))
-    optical = [pair for pair in pairs if pair[0].optic is not None]
+    internals = [pair for pair in pairs if pair[0].internal is not None]
     sentences = []
     for family, word in ((CAMERA, _camera), (BOARD, _board)):
-        of_family = [pair for pair in optical if pair[0].family == family]
+        of_family = [pair for pair in internals if pair[0].family == family]
         for owner in dict.fromkeys(parameter.samples[0] for parameter, _ in of_family):
             estimated = [pair for pair in of_family if pair[0].samples[0] == owner]
             sentences.append(word(estimated))
@@ -170,7 +169,7 @@ def _camera(estimated: Sequence[_Estimated]) -> str:
 
 def _board(estimated: Sequence[_Estimated]) -> str:
     """Word the errors of one print: scale and sag along x and y, and how far its corners are from their places."""
-    whole = [(parameter, p) for parameter, p in estimated if len(parameter.samples) == 1]
+    whole = [(parameter, p) for parameter, p in estimated if not parameter.of_one_point]
     parts = []
     for name, factor, unit in (("scale", 100.0, "%"), ("sag", 1e3, "mm")):
         values = []
@@ -181,8 +180,7 @@ def _board(estimated: Sequence[_Estimated]) -> str:
                 values.append(f"{axis} {change} ± {_half(p, 2, factor)} {unit}")
         if values:
             parts.append(f"{name} {', '.join(values)}")
-    columns = range(optics.OFFSET.start, optics.OFFSET.stop)
-    offsets = np.array([p.delta for parameter, p in estimated if parameter.optic in columns])
+    offsets = np.array([p.delta for parameter, p in estimated if parameter.of_one_point])
     if len(offsets):
         rms = float(np.sqrt(np.mean(offsets**2)))
         parts.append(f"corners {mm(rms)} mm rms from their places along x and y")

@@ -57,7 +57,11 @@ from calib.show.words import (
     rms_text,
 )
 from calib.verbs.calibrate.figures import drawings
-from calib.verbs.calibrate.places_text import frame_sentences, optics_sentences, target_sentences
+from calib.verbs.calibrate.places_text import (
+    camera_and_board_sentences,
+    frame_sentences,
+    target_sentences,
+)
 from calib.verbs.calibrate.seen_corners import image_rows
 from calib.verbs.calibrate.uncertainty import LEVEL, Bootstrap, Profile
 from calib.version import __version__
@@ -286,7 +290,7 @@ def _rows_and_places(c: Calibration) -> Iterator[Block]:
         yield Paragraph(f"Outliers among the validation rows: {suspects}", tight=True)
     yield Bullets(target_sentences(c), most=_MOST_PLACES)
     yield Bullets(frame_sentences(c), most=_MOST_PLACES)
-    yield Bullets(optics_sentences(c))
+    yield Bullets(camera_and_board_sentences(c))
 
 
 def _evidence_note(c: Calibration) -> Iterator[Block]:
@@ -337,7 +341,7 @@ def _parameters(c: Calibration) -> Iterator[Block]:
 
     yield tables.parameters_in(c, "mm")
     yield tables.parameters_in(c, "deg")
-    places = [*target_sentences(c), *frame_sentences(c), *optics_sentences(c)]
+    places = [*target_sentences(c), *frame_sentences(c), *camera_and_board_sentences(c)]
     yield Bullets(places, on=HTML)
     yield tables.non_geometric(c)
 

@@ -15,8 +15,8 @@ from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
 from calib.camera import optics
 from calib.camera.lenses import LENSES
-from calib.fit.registration.table_optics import number_corners
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.instruments.internals import number_corners
 from calib.result.calibration import Calibration
 from calib.show.look import short_names
 from calib.show.measured_rows import flagged_rows
@@ -136,8 +136,8 @@ def _indices_by_name(names: Sequence[str]) -> dict[str, Integers]:
 
 def image_rows(c: Calibration) -> Mask:
     """Return the rows that are images of corners, shape (N,)."""
-    optical = {kind for kind in set(c.rows.kinds) if registry.get(kind).optical}
-    return np.array([kind in optical for kind in c.rows.kinds], dtype=bool)
+    of_images = {kind for kind in set(c.rows.kinds) if registry.get(kind).is_image}
+    return np.array([kind in of_images for kind in c.rows.kinds], dtype=bool)
 
 
 def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
@@ -148,9 +148,9 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
     m, cell = c.fit.measurements, c.fit.cell
     rows, _ = rows_and_setup(c.nominal, m, cell)
     T_base_tip = c.robot.poses(m.joints_for(c.nominal.joint_names))
-    T_camera_boards = c.setup.target_poses(T_base_tip, rows.samples)
-    optics_of_rows = c.setup.optics_at(rows.samples)
-    assert optics_of_rows is not None
+    sightings = c.setup.sightings(T_base_tip, rows.samples)
+    assert sightings.internals is not None
+    internals = sightings.internals.values
     names, corner = number_corners(m)
     measured = np.column_stack([m.reading("u"), m.reading("v")])
     held_out = np.full((len(m), 2), np.nan)
@@ -170,11 +170,11 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
         boards = tuple(name if name in cell.boards else nameless for name in m.targets)
 
     seen = []
-    numbers = optics_of_rows.values[:, optics.CAMERA]
+    numbers = internals[:, optics.CAMERA]
     for number in np.unique(numbers[is_image]):
         at = np.flatnonzero(is_image & (numbers == number))
-        values = optics_of_rows.values[at]
-        T_camera_board = T_camera_boards[at]
+        values = internals[at]
+        T_camera_board = sightings.T_frame_target[at]
         printed = optics.board_points(values)
         turned = np.einsum("nij,nj->ni", T_camera_board[:, :3, :3], printed)
         lens = list(LENSES.values())[int(values[0, optics.LENS])]

@@ -252,7 +252,7 @@ def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
     for estimate, parameter in zip(c.parameters, c.model.parameters, strict=True):
         of_frame = parameter.family == FRAME
         turns_target = parameter.family == TARGET and parameter.unit == "rad"
-        if not of_frame and not turns_target and parameter.optic is None:
+        if not of_frame and not turns_target and parameter.internal is None:
             shown.append(estimate)
     return shown
 

@@ -57,9 +57,6 @@ _CHANCE = 0.05
 #: With fewer degrees of freedom, the scatter of repeats does not determine the noise.
 _FEWEST_REPEATS = 6.0
 
-#: Coordinates of a corner in the image.
-_AXES_OF_IMAGE = 2
-
 #: The largest value of h (1 - h), for a leverage h.
 _LARGEST_RATIO = 0.25
 
@@ -137,26 +134,6 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
         noise=_instrument_noise(result)[0],
         validated=part.cross_validation is not None,
     )
-
-
-def arrival_covariance(pair: Pair, q: Array) -> Array:
-    """Compute the covariance of the true tool's pose at joint values to command, in the frame of the program.
-
-    Besides the covariance of the predicted pose it has the errors that the model lacks, alike in all directions.
-
-    Args:
-        pair: The nominal robot and that of a result, with the tool and the frame of the program.
-        q: shape (N, m), joint values to command [rad] or [m].
-
-    Returns:
-        Shape (N, 6, 6), along the axes of the frame, linear part first [m, rad].
-    """
-    result = _result(pair)
-    part = result.part(non_geometric=pair.non_geometric)
-    target, _, arrived = (pose_covariance(part, view) for view in _views(pair, result, part, q))
-    lacking = _lacking(result, part, float(target.mean_square[1]))
-    lacking[0] += _lacking_in_images(result, part)
-    return np.asarray(arrived.covariance + np.diag(np.repeat(lacking / 3.0, 3)))
 
 
 def _result(pair: Pair) -> Calibration:
@@ -304,25 +281,6 @@ def _beyond_noise(
         chance = float(chdtri(independent, _CHANCE)) / independent
     variance = v * kept
     return 3.0 * (variance - sigma**2) if variance > chance * sigma**2 else 0.0
-
-
-def _lacking_in_images(result: Calibration, part: FittedModel) -> float:
-    """Return the mean square of the errors that a model of images lacks, three axes together [m^2]; 0 if chance has it.
-
-    Held-out errors beyond the stated noise of a corner, as lengths at the board, are taken to be alike along the line
-    of sight. The corners of an image err together: an image counts as one of them.
-    """
-    held_out = part.cross_validation
-    sigma = result.noise.sigma_given.get("px")
-    if held_out is None or result.rows.metres_per_pixel is None or sigma is None:
-        return 0.0
-    variance = held_out.errors_without_outliers["px"].rms ** 2 / _AXES_OF_IMAGE
-    scalars = _AXES_OF_IMAGE * held_out.folds
-    chance = float(chdtri(scalars, _CHANCE)) / scalars
-    if variance <= chance * sigma**2:
-        return 0.0
-    pixel = float(np.nanmean(np.square(result.rows.metres_per_pixel)))
-    return 3.0 * (variance - sigma**2) * pixel
 
 
 def _instrument_noise(

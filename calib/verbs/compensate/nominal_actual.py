@@ -28,7 +28,7 @@ from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
 from calib.numerics.geometry import not_rotations, position_in_tip
-from calib.result.calibration import Calibration, check_same_coupling
+from calib.result.calibration import Calibration, check_same_joints, is_corrected
 from calib.result.fitted_model import NonGeometric
 from calib.robot.gravity import Payload
 from calib.robot.ranges import spread_poses
@@ -36,9 +36,6 @@ from calib.robot.robot import Robot
 
 #: The family that moves a measured joint, and with it all joints that follow it.
 _GAIN = "gain"
-
-#: Origins of one robot differ by rounding [m; rotation matrices: 1].
-_SAME = 1e-9
 
 #: If the tools of two robots are typically farther apart than this share of their reach, one is not a calibration of
 #: the other.
@@ -291,43 +288,6 @@ def pair_of(
     )
 
 
-def is_corrected(result: Calibration, robot: Robot) -> bool:
-    """Return whether a robot has the joint origins that a result corrected, or those that the calibration began with.
-
-    Args:
-        result: The calibration.
-        robot: A robot with the same chain.
-
-    Returns:
-        True for the corrected origins, False for the nominal ones.
-
-    Raises:
-        ModelError: It has neither, or is another chain.
-    """
-    chain = result.nominal
-    if (robot.base, robot.tip) != (chain.base, chain.tip):
-        raise ModelError(
-            f"The result is for --base {chain.base} --tip {chain.tip}, not for '{robot.base}' to "
-            f"'{robot.tip}'."
-        )
-    if not _other_origins(robot, result.corrected(robot)):
-        return True
-    different = _other_origins(robot, result.uncorrected(robot))
-    if not different:
-        return False
-    raise ModelError(
-        f"{robot.urdf.source}: the origin of '{different[0]}' is neither the one that the "
-        "calibration began with nor its corrected one. Give the URDF that the result was made "
-        "with, or the corrected URDF in place of the result."
-    )
-
-
-def _other_origins(robot: Robot, reference: Robot) -> list[str]:
-    """Return the names of a robot's joints whose origins differ from those of a reference by more than rounding."""
-    origins = reference.origins()
-    return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
-
-
 def _find_name(names: Sequence[str], name: str, what: str) -> str:
     """Return the name if it is one of some names, or the only one for the empty name; raises `ModelError`."""
     if name in names:
@@ -352,25 +312,3 @@ def _pose(value: ArrayLike | str | None, what: str) -> Array:
     if what == "tool":
         position_in_tip(values[:3, 3], what)
     return read_only(values)
-
-
-def check_same_joints(robot: Robot, nominal: Robot) -> None:
-    """Refuse two robots whose joints differ in name, type or axis, or in coupled readings; raises `ModelError`.
-
-    Args:
-        robot: A corrected robot.
-        nominal: Its nominal robot.
-    """
-    joints, nominal_joints = _joints(robot), _joints(nominal)
-    if joints != nominal_joints:
-        raise ModelError(
-            f"The robot '{robot.name}' has the joints {choices(joints)}, its nominal robot "
-            f"'{nominal.name}' {choices(nominal_joints)}. Give the nominal URDF that the robot was "
-            "corrected from, with the same base and tip."
-        )
-    check_same_coupling(robot, nominal)
-
-
-def _joints(robot: Robot) -> list[str]:
-    """Return a text for each joint of the chain, with its name, type and axis, for comparison and messages."""
-    return [f"{joint.name} ({joint.type}, axis {joint.axis + 0.0})" for joint in robot.joints]

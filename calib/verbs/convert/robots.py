@@ -7,14 +7,13 @@ from pathlib import Path
 
 from calib.data.inputs import RobotInput, chain_of
 from calib.errors import CalibError, ModelError
-from calib.result.calibration import Calibration
+from calib.result.calibration import Calibration, check_same_joints, is_corrected
 from calib.result.calibration_file import read_result
 from calib.robot.coupled_readings import coupling_lines
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.ur_models import UrModel, ur_model
-from calib.verbs.compensate.nominal_actual import check_same_joints, is_corrected
 from calib.verbs.convert.format import Format, Note, Notes, Options, Source, SourceKind
 from calib.verbs.convert.ur_arms import Mount, the_mount, ur_robot
 

@@ -23,11 +23,11 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.files import write_atomically
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.model.dh_table import dh_table
+from calib.result.calibration import check_same_joints
 from calib.robot.dh_rows import STANDARD
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.ur_models import MODELS, UrModel, chain_of_rows, ur_model
-from calib.verbs.compensate.nominal_actual import check_same_joints
 from calib.verbs.convert.anchored_placements import anchored_placements
 from calib.verbs.convert.format import (
     YAML,

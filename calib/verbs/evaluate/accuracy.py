@@ -198,8 +198,8 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     if not np.any(measured):
         raise MeasurementError(f"{m.source or 'Measurements'}: no row measures anything.")
     # Repeats have the same joint values: frames, targets and loads of a cell have no part in it.
-    optical = Cell(cameras=evaluation.cameras, boards=evaluation.boards)
-    rows, _ = rows_and_setup(evaluation.robot, m, optical)
+    of_images = Cell(cameras=evaluation.cameras, boards=evaluation.boards)
+    rows, _ = rows_and_setup(evaluation.robot, m, of_images)
 
     # The rows that frames and targets were registered to, if any were; and those that alone see one of them.
     registration = registration_rows(m)

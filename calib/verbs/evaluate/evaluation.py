@@ -179,7 +179,7 @@ def evaluate(
         known = non_geometric.setup
     rows, setup = rows_and_setup(arm, table, known_cell)
     if known is not None:
-        setup = replace(_with_known(setup, known, which), optics=known.optics)
+        setup = replace(_with_known(setup, known, which), internals=known.internals)
     if non_geometric is None:
         T_base_tip = arm.poses(rows.joints)
     else:
@@ -193,10 +193,9 @@ def evaluate(
     unseen = setup.with_given_fixed(rows.samples.select(chosen))
     placed = register_held_out(T_base_tip[~chosen], placed, unseen, rows.select(~chosen))
 
-    T_frame_target = placed.target_poses(T_base_tip, rows.samples)
-    optics = placed.optics_at(rows.samples)
-    residual = rows.residual(T_frame_target, optics)
-    scale = length_of_pixels(T_frame_target, optics, rows)
+    sightings = placed.sightings(T_base_tip, rows.samples)
+    residual = rows.residual(sightings)
+    scale = length_of_pixels(sightings, rows)
     return Evaluation(
         robot=arm,
         measurements=table,

@@ -27,7 +27,6 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.instruments.camera import is_image
 from calib.robot.kernel import over_blocks
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
@@ -231,7 +230,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
     fitted = measurements.select(measurements.estimation)
     sorts = set(zip(fitted.kinds, fitted.targets, fitted.groups, strict=True))
     kind = fitted.kinds[0]
-    if len(sorts) > 1 or not registry.get(kind).free or is_image(registry.get(kind)):
+    if len(sorts) > 1 or not registry.get(kind).free or registry.get(kind).is_image:
         return None
     rows, setup = rows_and_setup(robot, measurements, cell)
     rows = rows.select(measurements.estimation)

@@ -292,7 +292,7 @@ def _scale_notes(sensitivity: Sensitivity, pool: Pool, q: Array, rms: float) -> 
         return []
     (sigma, *_) = [
         unknown.sigma
-        for unknown in sensitivity.setup.optics
+        for unknown in sensitivity.setup.internals
         if unknown.parameter.name.startswith("board_scale")
     ]
     return [Note("board_scale", (sigma, rms_if_exact))]

@@ -17,9 +17,8 @@ from calib.data.columns import DEFAULT_TARGET
 from calib.data.inputs import GENERIC_TARGET
 from calib.fit.estimate.task import Task
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.table_optics import initial_optics
-from calib.fit.registration.table_setup import measurement_setup
-from calib.instruments.camera import USUAL_LIMITS, CameraInstrument, SightLimits, is_image
+from calib.fit.registration.table_setup import measurement_setup, with_internals
+from calib.instruments.camera import USUAL_LIMITS, CameraInstrument, SightLimits
 from calib.instruments.instrument import Instrument, Sightline, transform
 from calib.instruments.tracker import TrackerInstrument
 from calib.model.families import FAMILIES
@@ -51,7 +50,7 @@ def instrument_of(cell: Cell, limits: SightLimits = USUAL_LIMITS) -> Instrument:
     Raises:
         CalibError: No instrument that poses can be planned for.
     """
-    if cell.cameras and (cell.kind is None or is_image(registry.get(cell.kind))):
+    if cell.cameras and (cell.kind is None or registry.get(cell.kind).is_image):
         return CameraInstrument.of(cell, limits)
     return TrackerInstrument.of(cell)
 
@@ -93,8 +92,7 @@ class Sensitivity:
         table = instrument.stop_rows(robot, targets, next(iter(cell.frames), ""))
         stop = np.zeros(len(table), dtype=np.int_)
         setup = measurement_setup(cell, table, (instrument.kind,), stop)
-        _, unknowns = initial_optics(table, cell, setup, stop)
-        setup = replace(setup, optics=unknowns)
+        setup, _ = with_internals(setup, table, cell, stop)
         notes = [Note(code, values) for code, values in instrument.assumed]
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
@@ -110,7 +108,7 @@ class Sensitivity:
         if not is_auto:
             for given in (*cell.parameter_priors, *cell.bounds):
                 model.index(given)  # refuses one that the model does not have
-        own_std = {unknown.parameter.name: unknown.sigma for unknown in unknowns}
+        own_std = {unknown.parameter.name: unknown.sigma for unknown in setup.internals}
         precision = np.zeros(len(model))
         for k, parameter in enumerate(model.parameters):
             prior_std = own_std.get(parameter.name, LEASH)

@@ -86,7 +86,6 @@ def simulate(
     quiet: Quiet = False,
 ) -> None:
     """Read robot and scenario, simulate, write pictures, table, truth and URDF, and print what was simulated."""
-    from calib.instruments.camera import is_image
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.picture_files import write_pictures
     from calib.verbs.simulate.scenario import simulate as simulate_rows
@@ -110,7 +109,7 @@ def simulate(
     cell = cell_options.cell()
     arm = load(robot, cell)
     scenario = read_scenario(arm, cell, cell_options.file, errors)
-    if images is not None and not is_image(scenario.kind):
+    if images is not None and not scenario.kind.is_image:
         raise CalibError(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
         )

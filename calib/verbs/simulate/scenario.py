@@ -26,7 +26,7 @@ from calib.data.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, ModelError, choices
-from calib.instruments.camera import camera_and_board_places, is_image
+from calib.instruments.camera import camera_and_board_places
 from calib.instruments.instrument import Sightline
 from calib.instruments.tracker import USUAL_NOISE, noise_of_lengths
 from calib.model.families import family_of
@@ -188,7 +188,7 @@ class Scenario(Value):
             true_robot=self.true_robot,
             target_error=self.target_error,
         )
-        if not is_image(self.kind):
+        if not self.kind.is_image:
             return VirtualCell(self, truth)
         is_given = {
             "visits": self.visits > 1,

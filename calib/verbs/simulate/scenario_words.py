@@ -19,7 +19,6 @@ from calib.basics.value_forms import DEGREES, MM, NUMBER, POINT_MM, Place, text
 from calib.data.cell import Cell, TrackerNoise, read_toml
 from calib.data.inputs import chain_of, robot_of
 from calib.errors import CalibError, choices
-from calib.instruments.camera import is_image
 from calib.instruments.tracker import noise_of_lengths
 from calib.model.error_model import error_model
 from calib.model.families import FAMILIES, unit_of
@@ -155,7 +154,7 @@ def read_scenario(
         target_error = parse_amount(words.target_error, "--target-error", LENGTH, "1 mm")
 
     # --noise is that of corners if these are measured, else that of lengths.
-    of_images = cell.kind is not None and is_image(registry.get(cell.kind))
+    of_images = cell.kind is not None and registry.get(cell.kind).is_image
     pixels = None
     noise: TrackerNoise | None = noise_of_lengths(cell)
     if words.noise is not None and of_images and words.noise != NONE:

@@ -133,7 +133,7 @@ def camera_images(
     begins = np.zeros(len(m), dtype=bool)
     begins[[int(of_step[0]) for of_step in rows]] = True
     one_each = m.select(begins)
-    if not cameras or not np.any(one_each.where(lambda kind: kind.optical)):
+    if not cameras or not np.any(one_each.is_image):
         return None
     T_frame_base, T_tip_target = setup_of_rows(last.setup, one_each)
     T_base_tip = last.robot.poses(one_each.joints_for(last.robot.joint_names))

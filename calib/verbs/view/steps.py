@@ -75,7 +75,7 @@ def rows_of_steps(m: Measurements) -> tuple[Integers, ...]:
     Returns:
         Of each step the indices of its rows, from 0; the steps in the order of their first rows.
     """
-    if not len(m) or not np.all(m.where(lambda kind: kind.optical)):
+    if not len(m) or not np.all(m.is_image):
         return tuple(np.arange(len(m))[:, None])
     pose = same_poses(m.joints)
     names = zip(m.images, pose.tolist(), m.groups, m.targets, strict=True)

@@ -377,7 +377,7 @@ def view_at_rows(
 
     labels = []
     kinds = []
-    is_image = m.where(lambda kind: kind.optical)
+    is_image = m.is_image
     for k in shown:
         image = m.images[k] if is_image[k] else ""
         labels.append(image or f"row {m.rows[k]}")

@@ -183,8 +183,7 @@ def test_derivatives_against_differences(make_scene, join, kind):
     targets = scene.kinematics.T_tip_target[[int(t[1:]) for t in setup.targets]]
     kinematics = Kinematics(scene.robot, model, frames, targets)
     x = 5e-3 * np.random.default_rng(6).normal(size=len(model))
-    poses, twists = kinematics.twists(x, rows.samples)
-    derivative = rows.derivative(poses, twists)
+    derivative = rows.derivative(kinematics.linearised(x, rows.samples))
     assert derivative.shape == (len(rows), rows.width, len(model))
 
     def at(v):

@@ -16,7 +16,7 @@ from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection import selection
 from calib.fit.selection.ladder import LADDER
-from calib.fit.selection.selection import Selection, select, with_known_corners
+from calib.fit.selection.selection import Selection, select, with_known_points
 from tests.fit.selection.models import scene_of
 from tests.images import BOARD, arm, cell, poses, table
 
@@ -107,9 +107,9 @@ def test_corners_are_where_the_fit_has_them():
     rows, setup = rows_and_setup(robot, table(poses(10), noise=0.05, points=points), cell())
     task = Task(robot, cell(), setup, "frames")
     fitted = fit(task, rows)
-    fewer, known = with_known_corners(task, fitted, rows)
+    fewer, known = with_known_points(task, fitted, rows)
     assert len(fewer.error_model()) == len(task.error_model()) - 2 * len(BOARD.corners)
-    offsets = known.samples.optics[:, OFFSET]
+    offsets = known.samples.internals[:, OFFSET]
     estimated = dict(zip(fitted.kinematics.model.names, fitted.estimate.x, strict=True))
     np.testing.assert_allclose(offsets[3], [estimated["corner_3_x"], estimated["corner_3_y"]])
     again = fit(fewer, known)
@@ -122,6 +122,6 @@ def test_without_unknown_corners_nothing_changes():
     c = cell(boards={"": replace(BOARD, sigma_corner=0.0)})
     rows, setup = rows_and_setup(robot, table(poses(6), noise=0.05), c)
     task = Task(robot, c, setup, "frames")
-    same = with_known_corners(task, fit(task, rows), rows)
+    same = with_known_points(task, fit(task, rows), rows)
     assert same[0] is task
     assert same[1] is rows

@@ -86,3 +86,11 @@ def test_calls_that_are_refused(call, tmp_path, words, text):
     assert done.code == 1
     assert text in done.err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [("--columns", "0"), ("--rows", "-1"), ("--first-marker", "-1")])
+def test_counts_that_no_board_has_are_a_wrong_call(call, tmp_path, words):
+    done = call(tmp_path, "board", *words)
+    assert done.code == 2
+    assert words[0] in done.err
+    assert not list(tmp_path.iterdir())

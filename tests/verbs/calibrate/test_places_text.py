@@ -16,7 +16,7 @@ from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.show.lines import mm
-from calib.verbs.calibrate.places_text import frame_sentences, optics_sentences
+from calib.verbs.calibrate.places_text import camera_and_board_sentences, frame_sentences
 from tests.images import arm, cell, poses, table as image_table
 
 
@@ -78,7 +78,7 @@ def test_intrinsics_and_print_are_worded():
     result = calib.calibrate(
         arm(), image_table(poses(10), noise=0.1), cell=cell(model="frames"), validate=False
     )
-    camera, board = optics_sentences(result)
+    camera, board = camera_and_board_sentences(result)
     for name in ("fx", "fy", "cx", "cy", "k1", "p2"):
         assert f"{name} " in camera
     for word in ("scale x", "sag x", "mm rms"):
@@ -87,4 +87,4 @@ def test_intrinsics_and_print_are_worded():
 
 def test_nothing_is_said_without_cameras(ur3, paper_table):
     result = calib.calibrate(ur3, paper_table, cell=Cell(model="frames"), validate=False)
-    assert optics_sentences(result) == []
+    assert camera_and_board_sentences(result) == []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -25,7 +24,6 @@ from calib.verbs.compensate.expected import (
     _beyond_noise,
     _contributions,
     _freedom,
-    _lacking_in_images,
     _mean_errors,
     expected_errors,
 )
@@ -284,33 +282,3 @@ def test_true_errors_are_those_expected_over_many_robots(ur3: Robot, known: bool
             expected[k] += expected_errors(pair_of(result, tool=tool, frame=frame), where).mean
     assert expected == pytest.approx(true, rel=0.2)
     assert known or expected[0] > 1.5 * expected[1]
-
-
-# Images
-
-
-def of_images(rms: float, sigma: dict[str, float], pixels=(5e-4, 5e-4, np.nan)) -> SimpleNamespace:
-    """A result of images, with held-out errors of 30 images."""
-    errors = {"px": SimpleNamespace(rms=rms)}
-    held_out = SimpleNamespace(errors_without_outliers=errors, folds=30)
-    return SimpleNamespace(
-        geometry=SimpleNamespace(cross_validation=held_out),
-        noise=SimpleNamespace(sigma_given=sigma),
-        rows=SimpleNamespace(metres_per_pixel=np.array(pixels)),
-    )
-
-
-def test_what_a_model_of_images_lacks_is_what_is_beyond_their_noise():
-    # 0.3 px of noise and 0.4 px of lack a coordinate; a pixel is half a millimetre at the board.
-    rms = np.sqrt(2.0 * (0.3**2 + 0.4**2))
-    result = of_images(rms, {"px": 0.3})
-    assert _lacking_in_images(result, result.geometry) == pytest.approx(3.0 * (0.4 * 5e-4) ** 2)
-    # A tenth more than the noise is by chance.
-    by_chance = of_images(1.1 * np.sqrt(2.0) * 0.3, {"px": 0.3})
-    assert _lacking_in_images(by_chance, by_chance.geometry) == 0.0
-    unstated = of_images(rms, {})
-    assert _lacking_in_images(unstated, unstated.geometry) == 0.0
-    unheld = SimpleNamespace(cross_validation=None)
-    assert _lacking_in_images(result, unheld) == 0.0
-    result.rows.metres_per_pixel = None
-    assert _lacking_in_images(result, result.geometry) == 0.0

@@ -11,7 +11,7 @@ import pytest
 from calib.camera import optics as columns
 from calib.camera.camera import Camera
 from calib.data.cell import Cell, Tracker, TrackerNoise
-from calib.fit.registration.table_optics import initial_optics
+from calib.fit.registration.table_setup import with_internals
 from calib.instruments.camera import SightLimits
 from calib.instruments.tracker import TrackerInstrument
 from calib.model.kinematics import Samples
@@ -41,9 +41,9 @@ def poses() -> np.ndarray:
 
 def images_at(sensitivity: Sensitivity, x: np.ndarray, q: np.ndarray) -> np.ndarray:
     """The images of all corners at one pose, in standard deviations."""
-    optics = sensitivity.instrument.optics
-    samples = replace(Samples.at(np.repeat(q[None], len(optics), axis=0)), optics=optics)
-    changed = sensitivity.kinematics.optics(x, samples)
+    internals = sensitivity.instrument.internals
+    samples = replace(Samples.at(np.repeat(q[None], len(internals), axis=0)), internals=internals)
+    changed = sensitivity.kinematics.internals(x, samples)
     T = sensitivity.kinematics.poses(x, samples)
     return columns.images(T, changed.values).ravel() / 0.2
 
@@ -170,8 +170,8 @@ def test_noise_is_in_pixels():
 def test_the_numbers_of_the_instrument_are_those_of_the_fit():
     table = model().instrument.stop_rows(in_hand("ur5").robot, ("target",), "")
     stop = np.zeros(len(table), dtype=int)
-    optics, _ = initial_optics(table, model().cell, model().setup, stop)
-    np.testing.assert_array_equal(model().instrument.optics, optics)
+    _, internals = with_internals(model().setup, table, model().cell, stop)
+    np.testing.assert_array_equal(model().instrument.internals, internals)
 
 
 def test_a_cell_with_a_camera_plans_images_unless_it_states_another_kind():

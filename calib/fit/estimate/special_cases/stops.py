@@ -43,7 +43,7 @@ from calib.fit.estimate.special_cases.stop_shares import (
 from calib.fit.registration.labels import same_poses
 from calib.fit.registration.rows import Rows
 from calib.model.error_model import error_model
-from calib.model.kinematics import Kinematics, Samples
+from calib.model.kinematics import Kinematics, Samples, Sightings
 
 #: Rows whose columns are copied at a time.
 _PART = 16_384
@@ -111,7 +111,7 @@ class Stops:
         of_body = twists_of_bodies(T_frame_target[:, :3, 3], points, stop, weight)
         of_joints = twists_of_joints(kinematics, of_stops.samples)
         twists = np.concatenate([of_body, of_joints], axis=2)
-        derivative = of_stops.derivative(T_frame_target, twists)
+        derivative = of_stops.derivative(Sightings(T_frame_target, twists))
         J = np.zeros((len(of_stops), rows.width, twists.shape[2]))
         J[:, : of_stops.width] = of_stops.standardise(derivative)
         channel = rows.channels.index[chosen]
@@ -335,7 +335,7 @@ def _number_stops(rows: Rows) -> Integers | None:
     stop_and_point = np.unique(np.column_stack([stop, measured_point]), axis=0)
     points_of_stop = np.bincount(stop_and_point[:, 0])
     several = points_of_stop[stop] > 1
-    chosen = several & rows.where(lambda kind: kind.position or kind.optical)
+    chosen = several & rows.where(lambda kind: kind.position or kind.is_image)
     if not np.any(chosen):
         return None
     return np.where(chosen, stop, -1)

@@ -15,12 +15,12 @@ from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
 
 
 def unknowns(setup):
-    return {u.parameter.name: u for u in setup.optics}
+    return {u.parameter.name: u for u in setup.internals}
 
 
 def test_rows_have_the_numbers_of_camera_and_board():
     rows, _ = rows_and_setup(arm(), table(poses(3)), cell())
-    values = rows.samples.optics
+    values = rows.samples.internals
     count = len(BOARD.corners)
     np.testing.assert_array_equal(values[:, :9], np.tile(VALUES["pinhole"], (3 * count, 1)))
     np.testing.assert_array_equal(values[:, optics.POINT], np.tile(BOARD.corners, (3, 1)))
@@ -44,7 +44,7 @@ def test_what_is_exact_is_not_estimated():
     exact = camera(sigma=np.zeros(9))
     flat = replace(BOARD, sigma_scale=0.0, sigma_warp=0.0, sigma_corner=0.0)
     _, setup = rows_and_setup(arm(), table(poses(3)), cell(cameras={"": exact}, boards={"": flat}))
-    assert setup.optics == ()
+    assert setup.internals == ()
 
 
 def test_a_number_that_is_not_known_has_a_wide_prior():
@@ -73,7 +73,7 @@ def test_corners_without_names_are_named_by_their_places():
 def test_intrinsics_of_which_nothing_is_known_start_at_those_of_the_images():
     unknown = camera(values=None)
     rows, setup = rows_and_setup(arm(), table(poses(8)), cell(cameras={"": unknown}))
-    np.testing.assert_allclose(rows.samples.optics[0, :2], VALUES["pinhole"][:2], rtol=0.02)
+    np.testing.assert_allclose(rows.samples.internals[0, :2], VALUES["pinhole"][:2], rtol=0.02)
     assert unknowns(setup)["fx"].sigma == 1e4
 
 

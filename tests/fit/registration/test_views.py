@@ -7,9 +7,9 @@ import pytest
 
 from calib.camera.lenses import LENSES
 from calib.errors import MeasurementError
-from calib.fit.registration.board_views import images_as_poses
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.fit.registration.views import views_as_poses
 from tests.images import BOARD, arm, cell, mounts, poses, table
 
 
@@ -17,7 +17,7 @@ from tests.images import BOARD, arm, cell, mounts, poses, table
 def test_views_are_the_poses_of_the_board(lens):
     q = poses(4)
     rows, _ = rows_and_setup(arm(), table(q, lens=lens), cell(lens))
-    views, source_rows = images_as_poses(rows)
+    views, source_rows = views_as_poses(rows)
     T_camera_base, T_tip_board = mounts()
     T = T_camera_base @ arm().poses(q) @ T_tip_board
     measured = views.measured
@@ -31,11 +31,11 @@ def test_a_view_of_few_corners_is_left_out():
     m = table(poses(4))
     few = np.array([i != "1.png" or int(c) < 3 for i, c in zip(m.images, m.corners, strict=True)])
     rows, _ = rows_and_setup(arm(), m.select(few), cell())
-    assert len(images_as_poses(rows)[0]) == 3
+    assert len(views_as_poses(rows)[0]) == 3
     none = np.array([int(c) < 3 for c in m.corners])
     rows, _ = rows_and_setup(arm(), m.select(none), cell())
     with pytest.raises(MeasurementError):
-        images_as_poses(rows)
+        views_as_poses(rows)
 
 
 @pytest.mark.parametrize("lens", LENSES)

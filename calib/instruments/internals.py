@@ -1,13 +1,17 @@
-"""Cameras and boards of a table: the numbers by which its images are predicted, and what is estimated of them."""
+"""Internals of the instruments of a table: as they are before the fit, and what is estimated of them.
+
+Cameras have internals (`calib.camera.optics`): those of the lens, and of the print of the board that they look at.
+Trackers and other gauges have none. For another instrument that has some, `initial_internals` gives its rows theirs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers, Mask, read_only
+from calib.basics.arrays import Array, Integers, Mask, numbered, read_only
 from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import Camera
@@ -16,8 +20,7 @@ from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
-from calib.fit.registration.labels import numbered
-from calib.fit.registration.setup import OpticalUnknown, Setup
+from calib.model.internals import InternalUnknown
 from calib.model.parameters import BOARD, CAMERA, Parameter
 
 #: Standard deviation of what is not known of a lens: of a focal length or the centre [px], and of a distortion.
@@ -71,31 +74,36 @@ class _Images:
     corner: Integers
 
 
-def initial_optics(
-    measurements: Measurements, cell: Cell, setup: Setup, pose: Integers
-) -> tuple[Array | None, tuple[OpticalUnknown, ...]]:
-    """Return the numbers by which images are predicted before the fit, and those that the fit estimates.
+def initial_internals(
+    measurements: Measurements,
+    cell: Cell,
+    stations: Mapping[str, str],
+    targets: Mapping[str, str],
+    pose: Integers,
+) -> tuple[Array | None, tuple[InternalUnknown, ...]]:
+    """Return the internals by which readings are predicted before the fit, and those that the fit estimates.
 
     Args:
         measurements: Table of N rows.
         cell: Cameras and boards as given.
-        setup: The table's stations and targets.
+        stations: The table's stations by name, each with the place of its frame in the error model.
+        targets: The table's targets by name, each with its place in the error model.
         pose: shape (N,), number of the robot's pose at each row.
 
     Returns:
-        shape (N, `calib.camera.optics.COUNT`), zero in rows of other kinds; None if no row is an image. And the
+        shape (N, c), zero in rows of instruments without internals; None if no instrument has any. And the
         unknowns, camera by camera, then board by board.
 
     Raises:
         MeasurementError: Nothing says how large the images of a camera are, or corners or intrinsics are of images of
             another size.
     """
-    is_image = measurements.where(lambda kind: kind.optical)
+    is_image = measurements.is_image
     if not np.any(is_image):
         return None, ()
     assert measurements.board_points is not None
-    frame = numbered(measurements.groups, setup.groups)
-    target = numbered(measurements.targets, setup.targets)
+    frame = numbered(measurements.groups, tuple(stations))
+    target = numbered(measurements.targets, tuple(targets))
     corners, corner = number_corners(measurements)
     _, view = np.unique(np.column_stack([pose, frame, target]), axis=0, return_inverse=True)
     images = _Images(
@@ -107,9 +115,8 @@ def initial_optics(
     )
 
     values = np.zeros((len(measurements), optics.COUNT))
-    unknowns: list[OpticalUnknown] = []
-    frames, targets = setup.places
-    for owner in _owners(setup.groups, frames, frame[is_image], cell.cameras):
+    unknowns: list[InternalUnknown] = []
+    for owner in _owners(stations, frame[is_image], cell.cameras):
         rows = is_image & np.isin(frame, owner.members)
         camera = cell.cameras.get(owner.key)
         if camera is None:
@@ -122,7 +129,7 @@ def initial_optics(
         _check_size(camera, images, rows, measurements)
         values[rows], of_lens = _camera_numbers(camera, images, rows, owner)
         unknowns += of_lens
-    for owner in _owners(setup.targets, targets, target[is_image], cell.boards):
+    for owner in _owners(targets, target[is_image], cell.boards):
         rows = is_image & np.isin(target, owner.members)
         board = cell.boards.get(owner.key)
         if board is not None:
@@ -134,8 +141,7 @@ def initial_optics(
 
 
 def _owners(
-    names: Sequence[str],
-    places: Sequence[str],
+    place_by_name: Mapping[str, str],
     numbers: Integers,
     described: Mapping[str, object],
 ) -> list[_Owner]:
@@ -144,6 +150,8 @@ def _owners(
     One that is described without a name is that of all that have none of their own: a camera that was moved to several
     stations, or a board that was moved to several places.
     """
+    names = list(place_by_name)
+    places = list(place_by_name.values())
     members: dict[str, list[int]] = {}
     for number in np.unique(numbers).tolist():
         name = names[number]
@@ -224,7 +232,7 @@ def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Meas
 
 def _camera_numbers(
     camera: Camera, images: _Images, rows: Mask, owner: _Owner
-) -> tuple[Array, list[OpticalUnknown]]:
+) -> tuple[Array, list[InternalUnknown]]:
     """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens."""
     lens = LENSES[camera.lens]
     widest = np.array([_WIDE[unit] for unit in lens.units])
@@ -248,7 +256,7 @@ def _camera_numbers(
     for k in np.flatnonzero(sigma > 0.0).tolist():
         parameter = _parameter(lens.names[k], lens.units[k], owner, CAMERA, k)
         parameter = replace(parameter, nominal=float(start[k]))
-        unknowns.append(OpticalUnknown(parameter, 0.0, float(sigma[k])))
+        unknowns.append(InternalUnknown(parameter, 0.0, float(sigma[k])))
     return values, unknowns
 
 
@@ -273,16 +281,16 @@ def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None)
 
 def _board_unknowns(
     board: Board, images: _Images, rows: Mask, owner: _Owner
-) -> list[OpticalUnknown]:
+) -> list[InternalUnknown]:
     """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places."""
     result = []
     for k, axis in enumerate("xy"):
         if board.sigma_scale > 0.0:
             scale = _parameter(f"board_scale_{axis}", "1", owner, BOARD, optics.SCALE.start + k)
-            result.append(OpticalUnknown(scale, 0.0, board.sigma_scale))
+            result.append(InternalUnknown(scale, 0.0, board.sigma_scale))
         if board.sigma_warp > 0.0:
             sag = _parameter(f"board_sag_{axis}", "m", owner, BOARD, optics.WARP.start + k)
-            result.append(OpticalUnknown(sag, 0.0, board.sigma_warp))
+            result.append(InternalUnknown(sag, 0.0, board.sigma_warp))
     if board.sigma_corner > 0.0:
         count = np.bincount(images.corner[rows], minlength=len(images.corners))
         for corner in np.flatnonzero(count >= _FEWEST_IMAGES).tolist():
@@ -290,16 +298,16 @@ def _board_unknowns(
                 name = f"corner_{images.corners[corner]}_{axis}"
                 column = optics.OFFSET.start + k
                 offset = _parameter(name, "m", owner, BOARD, column, corner)
-                result.append(OpticalUnknown(offset, 0.0, board.sigma_corner))
+                result.append(InternalUnknown(offset, 0.0, board.sigma_corner))
     return result
 
 
 def _parameter(
-    name: str, unit: str, owner: _Owner, family: str, optic: int, corner: int | None = None
+    name: str, unit: str, owner: _Owner, family: str, column: int, corner: int | None = None
 ) -> Parameter:
     """Return the parameter of a number of a camera or board: ``"fx[left]"``.
 
-    It adds to the column ``optic`` of `calib.camera.optics`, at one corner, by its number, or at all.
+    It adds to a column of `calib.camera.optics`, at one corner, by its number, or at all.
     """
     samples = [(optics.CAMERA if family == CAMERA else optics.BOARD, owner.number)]
     if corner is not None:
@@ -310,6 +318,6 @@ def _parameter(
         place=owner.place,
         direction=read_only(np.zeros(6)),
         family=family,
-        optic=optic,
+        internal=column,
         samples=tuple(samples),
     )
