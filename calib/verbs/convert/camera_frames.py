@@ -15,7 +15,7 @@ from calib.basics.values import Value
 from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.model.error_model import DIRECTIONS
 from calib.result.calibration import Calibration
-from calib.verbs.convert.format import CameraOptions, Source
+from calib.verbs.convert.format import CameraOptions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,22 +98,6 @@ def index_of(what: str, option: str, name: str | None, names: tuple[str, ...]) -
             f"There is no {what} '{name}'{did_you_mean(name, names)}; there is {choices(names)}."
         )
     return names.index(name)
-
-
-def calibration_of(source: Source) -> Calibration:
-    """Return the calibration that a source is.
-
-    Args:
-        source: The source.
-
-    Raises:
-        CalibError: It is not a calibration.
-    """
-    if source.calibration is None:
-        raise CalibError(
-            "A camera's mount, pose and intrinsics come from a calibration: give the result of calib calibrate --json."
-        )
-    return source.calibration
 
 
 def check_names(options: CameraOptions) -> None:

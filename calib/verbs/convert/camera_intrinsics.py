@@ -17,7 +17,7 @@ from calib.camera.lenses import LENSES
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.result.calibration import Calibration
 from calib.show.lines import fill, number
-from calib.verbs.convert.camera_frames import calibration_of, index_of
+from calib.verbs.convert.camera_frames import index_of
 from calib.verbs.convert.format import (
     YAML,
     CameraOptions,
@@ -56,7 +56,7 @@ def write_intrinsics(
         raise CalibError(
             f"{path}: a file of intrinsics has no links; of the camera's options it takes --camera alone."
         )
-    camera = calibrated_camera(calibration_of(source), chosen.camera)
+    camera = calibrated_camera(source.require_calibration(), chosen.camera)
     text = text_of(camera)
     read = camera_of_yaml(text, str(path))
     is_same = (read.width, read.height, read.lens) == (camera.width, camera.height, camera.lens)
@@ -123,7 +123,7 @@ def intrinsics_text(reader: str, conversion: Conversion) -> list[str]:
     Returns:
         Paragraphs of 100 columns.
     """
-    calibration = calibration_of(conversion.source)
+    calibration = conversion.source.require_calibration()
     camera = calibrated_camera(calibration, conversion.options.camera.camera)
     lens = LENSES[camera.lens]
     sigma = np.zeros(len(lens.names)) if camera.sigma is None else camera.sigma

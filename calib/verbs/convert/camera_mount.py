@@ -16,7 +16,6 @@ from calib.robot.urdf_tree import UrdfJoint
 from calib.show.lines import deg, fill, mm
 from calib.verbs.convert.camera_frames import (
     EstimatedFrame,
-    calibration_of,
     check_names,
     estimated_board,
     estimated_camera,
@@ -79,7 +78,7 @@ class Handover(Value):
             ModelError: There is no such camera or board.
             UrdfError: The URDF has no such link or joint, or they do not fit each other.
         """
-        calibration = calibration_of(source)
+        calibration = source.require_calibration()
         check_names(options)
         robot = source.robot
         urdf = robot.urdf

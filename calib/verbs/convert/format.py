@@ -18,7 +18,7 @@ from calib.basics.values import Value, keep_read_only
 from calib.data.cell import Cell
 from calib.data.inputs import RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import Verdict
-from calib.errors import FileError
+from calib.errors import CalibError, FileError
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.robot.ur_models import UrModel
@@ -142,6 +142,19 @@ class Source(Value):
     verdict: Verdict | None = None
     #: The result itself; None: another file.
     calibration: Calibration | None = None
+
+    def require_calibration(self) -> Calibration:
+        """Return the result itself.
+
+        Raises:
+            CalibError: Another file was read.
+        """
+        if self.calibration is None:
+            raise CalibError(
+                "This format is made from a calibration and its measurements, which a robot alone lacks. Give the "
+                "result of calib calibrate ROBOT DATA --json result.json."
+            )
+        return self.calibration
 
 
 class SourceKind(NamedTuple):

@@ -123,7 +123,7 @@ class RoundedZeros(Value):
             CalibError: The source is not a result, or has no zeros.
             ModelError: A joint slides, and its zero cannot be stored.
         """
-        zeros = calibration_of(source).zeros
+        zeros = source.require_calibration().zeros
         if zeros is None:
             raise CalibError(
                 "The result has no joint zeros: an earlier version of calib wrote it, or they could not be fitted to "
@@ -169,23 +169,6 @@ class RoundedZeros(Value):
         """Return the change of the stored number by joint, for those whose zero is determined."""
         rows = zip(self.zeros.joints, self.numbers.tolist(), self.zeros.determined, strict=True)
         return {name: number for name, number, determined in rows if determined}
-
-
-def calibration_of(source: Source) -> Calibration:
-    """Return the calibration that a source is.
-
-    Args:
-        source: The source.
-
-    Raises:
-        CalibError: It is not a calibration.
-    """
-    if source.calibration is None:
-        raise CalibError(
-            "Joint zeros are refitted to the measurements, which a robot alone does not know. Give the result of "
-            "calib calibrate ROBOT DATA --json result.json."
-        )
-    return source.calibration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,7 +278,7 @@ def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
         Paragraphs: how the zeros are meant, a table of them, and one of the errors with them.
     """
     rounded = RoundedZeros.of(conversion.source, stored.with_ticks(conversion.options.ticks))
-    rms_errors = RmsErrors.of(calibration_of(conversion.source), rounded)
+    rms_errors = RmsErrors.of(conversion.source.require_calibration(), rounded)
     meaning = (
         "The best joint zeros if nothing else of the robot is corrected. While the robot stands still, the reading of "
         "each joint must go up by its zero (down if it is negative). After that taught points and the rest of this "

@@ -23,7 +23,6 @@ from calib.basics.values import Value
 from calib.errors import CalibError, FileError
 from calib.show.lines import fill
 from calib.verbs.convert.camera_frames import (
-    calibration_of,
     check_names,
     estimated_board,
     estimated_camera,
@@ -148,7 +147,7 @@ def transform_of(source: Source, options: CameraOptions) -> StaticTransform:
         placed = Handover.of(source, options).frames[0]
         joint = placed.joint
         return StaticTransform(joint.parent, joint.child, joint.T_parent_joint)
-    calibration = calibration_of(source)
+    calibration = source.require_calibration()
     if camera_frame is not None:
         estimated = estimated_camera(calibration, options.camera)
     else:

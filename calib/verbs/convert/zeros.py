@@ -34,7 +34,6 @@ from calib.verbs.convert.rounded_zeros import (
     RmsErrors,
     RoundedZeros,
     StoredNumber,
-    calibration_of,
     check_improvement,
     zeros_text,
 )
@@ -378,7 +377,7 @@ def _write(file: OffsetFile | None, source: Source, path: Path, options: Options
         raise FileError(f"{path}: this format is written as {choices(endings)}; end the name so.")
     stored = TABLE if file is None else file.stored
     rounded = RoundedZeros.of(source, stored.with_ticks(options.ticks))
-    rms_errors = RmsErrors.of(calibration_of(source), rounded)
+    rms_errors = RmsErrors.of(source.require_calibration(), rounded)
     check_improvement(rms_errors, path, accept=options.accept)
     if file is None:
         data = table_bytes(source.robot, rounded, rms_errors, path.suffix.lower())

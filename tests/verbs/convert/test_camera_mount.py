@@ -12,7 +12,7 @@ from calib.basics.arrays import rigid_inverse
 from calib.errors import CalibError, UrdfError
 from calib.robot.robot import Robot
 from calib.verbs.convert import fixed_frames
-from calib.verbs.convert.camera_frames import calibration_of, check_names
+from calib.verbs.convert.camera_frames import check_names
 from calib.verbs.convert.camera_mount import Handover, mounted
 from calib.verbs.convert.convert import convert
 from calib.verbs.convert.fixed_frames import fixed_pose
@@ -67,7 +67,7 @@ def test_the_urdf_is_the_corrected_one():
     for joint in SOURCE.robot.joints:
         origin = result.urdf.joint(joint.name).T_parent_joint
         np.testing.assert_array_equal(origin, SOURCE.robot.urdf.joint(joint.name).T_parent_joint)
-    assert calibration_of(SOURCE) is SOURCE.calibration
+    assert SOURCE.require_calibration() is SOURCE.calibration
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_a_joint_of_the_arm_is_no_mount():
 
 def test_a_robot_has_no_camera():
     source = robot_source(Robot.from_urdf(urdf_with_camera(), "tool0", "base"), Options())
-    with pytest.raises(CalibError, match="give the result of calib calibrate --json"):
+    with pytest.raises(CalibError, match="Give the result of calib calibrate"):
         Handover.of(source, CameraOptions(new_camera_frame="cam"))
     assert Options().camera == CameraOptions()
 
