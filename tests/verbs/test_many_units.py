@@ -134,7 +134,7 @@ def test_a_report_and_a_page_show_every_unit(words, folder, kind):
     )
     page = (folder / f"{kind}.html").read_text()
     for unit in KINDS[kind][0]:
-        assert f"by set of rows [{RESIDUAL_UNITS[unit].shown}]" in page
+        assert re.search(rf"<b>Table \d+\.</b> [^<]*error \[{RESIDUAL_UNITS[unit].shown}\]", page)
     assert ("Image error by row" in page) == ("px" in KINDS[kind][0])
     words(
         f"view ur3 --data {kind}_c.csv --cell cell.toml --kind {kind} --calibration {kind}_c.json -o {kind}_view.html"
