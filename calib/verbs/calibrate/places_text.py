@@ -66,9 +66,10 @@ def target_sentences(c: Calibration) -> list[str]:
 
 
 def frame_sentences(c: Calibration) -> list[str]:
-    """Word the pose of the base in each frame that was estimated, and its uncertainty.
+    """Word the pose of the base in each frame that was estimated, with its 95 % intervals; mm and deg.
 
-    Of a socket or an anchor it is the point in the base, of a plane its normal and distance.
+    Of images it is the camera's pose in the base; of a socket or an anchor the point in the base, and of a plane its
+    normal and distance, both without intervals.
     """
     sentences = []
     for f, directions in enumerate(c.setup.unknown):
