@@ -115,6 +115,9 @@ class Outputs:
 
         Yields:
             The name of each output, after it was written.
+
+        Raises:
+            FileError: An output exists and is not to be replaced, or cannot be written.
         """
         from calib.show.verdict_text import do_not_use_text
 
@@ -222,6 +225,9 @@ class Intervals:
 
         Returns:
             Texts to print, and tables for the result file by key.
+
+        Raises:
+            CalibError: Too many samples, no such parameter, one at a bound, or the paper's solver made the calibration.
         """
         from calib.verbs.calibrate.report import bootstrap_text, profile_text
         from calib.verbs.calibrate.uncertainty import LEVEL, bootstrap, profile_interval

@@ -22,7 +22,10 @@ def write_urdf(
     target_link: bool = False,
     accept: bool = False,
 ) -> Path:
-    """Write the corrected URDF; see `Calibration.write_urdf`."""
+    """Write the corrected URDF; a verdict against it that is not accepted raises `VerdictError`.
+
+    See `Calibration.write_urdf`.
+    """
     verdict_against = do_not_use_text(c.verdict)
     if verdict_against and not accept:
         raise VerdictError(refusal(f"'{path}'", verdict_against))
@@ -30,7 +33,10 @@ def write_urdf(
 
 
 def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
-    """Return the URDF that `write_urdf` writes, read back; see `Calibration.checked_urdf`."""
+    """Return the corrected URDF, with a link at the target if wanted, after reading it back as a check.
+
+    A link for one of several targets raises `ModelError`; see `Calibration.checked_urdf`.
+    """
     urdf = c.robot.urdf
     if target_link:
         names = c.setup.targets

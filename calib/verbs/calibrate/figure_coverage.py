@@ -102,7 +102,10 @@ def _draw_density(ax: Axes, seen: SeenCorners) -> None:
 
 
 def _draw_tilts(ax: Any, tilt: Array, facing: Array) -> None:  # noqa: ANN401  matplotlib's polar axes have no types
-    """Draw the tilt [deg] of the board in each view, in the direction [rad] to which it faces as the image shows it."""
+    """Draw the board's tilt in V views, (V,) [deg], in the direction to which it faces in the image, (V,) [rad].
+
+    Directions count from right over down.
+    """
     size = 4.0 if len(tilt) <= 100 else 2.4
     look: dict[str, Any] = {"ls": "none", "marker": "o", "ms": size, "mec": "white", "mew": 0.4}
     ax.set_theta_direction(-1)  # rows of an image go down
@@ -119,7 +122,7 @@ def _draw_tilts(ax: Any, tilt: Array, facing: Array) -> None:  # noqa: ANN401  m
 
 
 def joint_coverage(c: Calibration) -> Figure:
-    """Draw the values of each joint in the fitted images, and their span, between the joint's limits."""
+    """Draw the values of each joint in the fitted images, or in all if none was fitted, between the joint's limits."""
     m = c.fit.measurements
     chosen = image_rows(c) & m.estimation
     if not np.any(chosen):
@@ -160,7 +163,7 @@ def joint_coverage(c: Calibration) -> Figure:
 
 
 def _span_text(low: float, high: float, *, slides: bool) -> str:
-    """Word the least and the greatest value of a joint: ``-27 to 94°``."""
+    """Word the least and the greatest value of a joint, [rad], or [m] if it slides: ``-27 to 94°``, ``5 to 80 mm``."""
     factor, unit = joint_unit(prismatic=slides)
     low, high = factor * low, factor * high
     digits = 0 if high - low >= _WIDE_SPAN else 1

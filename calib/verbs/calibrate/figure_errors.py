@@ -46,7 +46,7 @@ class CurveRows(NamedTuple):
 
 
 def curve_rows(c: Calibration) -> CurveRows:
-    """Return the rows of the error curves.
+    """Return the rows of the error curves, of those that measure a length.
 
     The validation rows if there are any, else the estimation rows with held-out predictions if the result was
     cross-validated, else the estimation rows with the fit's own predictions.
@@ -218,7 +218,10 @@ def by_axis(c: Calibration, unit: str = "m") -> Figure:
 
 
 def histograms(c: Calibration) -> Figure:
-    """Draw the distribution of the errors' sizes, and that of the residuals over their noise beside the normal one."""
+    """Draw the distribution of the errors' sizes, and that of the residuals over their noise beside the normal one.
+
+    Sizes are of all rows, in the first unit that was measured; residuals are of all scalars of the estimation rows.
+    """
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2)
 
@@ -266,7 +269,7 @@ def scaled_residuals(c: Calibration) -> Array:
 
 
 def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, style: RobotStyle) -> None:
-    """Draw a robot's errors (K,), NaN for none, over row numbers: with markers if they are few, as pixels if many."""
+    """Draw a robot's errors (K,), NaN for none, over row numbers (K,): with markers if few, as pixels if many."""
     # The line passes over rows without a value, such as the second rows of pairs: gaps would leave nothing of it.
     finite = np.isfinite(values)
     if not finite.any():  # no entry in the legend either

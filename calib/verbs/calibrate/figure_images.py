@@ -68,7 +68,10 @@ _MM = 1e3
 
 
 def over_image(c: Calibration) -> Figure:
-    """Draw the residuals of the calibrated robot over each camera's image: of each corner, and means of its cells."""
+    """Draw the residuals of the calibrated robot over each camera's image: of each corner, and means of its cells.
+
+    They are arrows, magnified as the titles say. Flagged corners are crosses, and left out of the means.
+    """
     cameras = seen_corners(c)
     heights = [
         min(0.86 * IMAGE_WIDTH * seen.size[1] / seen.size[0], _MOST_IMAGE_HEIGHT) + 0.5
@@ -110,7 +113,7 @@ def over_image(c: Calibration) -> Figure:
 
 
 def cell_means(seen: SeenCorners) -> tuple[Array, Array, Mask]:
-    """Average the residuals in cells of the image, if enough images have corners there.
+    """Average the residuals of the corners that are not flagged in cells of the image that enough images cover.
 
     Corners of one image are displaced together, by the robot's own errors; so each image counts once in a cell, and the
     scatter over images shows which means are due to chance.
@@ -166,7 +169,10 @@ def by_image(c: Calibration) -> Figure:
 
 
 def _draw_bars(ax: Axes, seen: SeenCorners, *, named: bool) -> None:
-    """Draw the bars of one camera; with the names of images below them, or of the worst above."""
+    """Draw the rms residual [px] of each image of one camera as a bar, and its held-out one as a dash.
+
+    All images are named below their bars if ``named``, otherwise the worst above theirs.
+    """
     images = seen.by_image
     values = image_rms(images, seen.calibrated)
     held_out = image_rms(images, seen.held_out)
@@ -205,11 +211,14 @@ def _draw_bars(ax: Axes, seen: SeenCorners, *, named: bool) -> None:
 
 
 def image_rms(images: dict[str, Integers], residual: Array) -> Array:
-    """Return the rms length of the residuals of each image; NaN if it has none.
+    """Return the rms length of the residuals of each image, without corners that have none.
 
     Args:
-        images: Indices of the corners of each image.
-        residual: shape (N, 2), [px].
+        images: Indices of the corners of each image, from 0, by its name.
+        residual: shape (N, 2), [px], of all corners; NaN for none.
+
+    Returns:
+        [px], in the order of the images; NaN for an image without residuals.
     """
     values = []
     for at in images.values():
@@ -223,7 +232,10 @@ def image_rms(images: dict[str, Integers], residual: Array) -> Array:
 
 
 def board_corners(c: Calibration) -> Figure:
-    """Draw each board's corners: errors of the print that the fit estimated, and mean residuals beyond them."""
+    """Draw each board's corners: errors of the print that the fit estimated, and mean residuals beyond them.
+
+    Both are arrows along the board, magnified as the titles say; colours show the bulge towards the camera [mm].
+    """
     from matplotlib.colors import LinearSegmentedColormap
 
     colours = LinearSegmentedColormap.from_list("height", (NOMINAL, "#f2f2f2", "#b03a5b"))
@@ -279,7 +291,8 @@ def corner_errors(cameras: Sequence[SeenCorners], board: str) -> tuple[Array, Ar
     Returns:
         The corners as designed, shape (n, 2); as printed less as designed, without the mean along the board,
         which moves all of it, shape (n, 3); and the displacement along the board that explains the residuals of each
-        corner best, shape (n, 2); all along the board's axes [m]. Flagged corners do not count.
+        corner best, shape (n, 2); all along the board's axes [m]. Flagged corners do not count for the displacement,
+        which is NaN for a corner that was flagged in all images.
     """
     places: dict[str, Array] = {}
     printed: dict[str, Array] = {}
@@ -353,7 +366,10 @@ def image_panel(ax: Axes, size: tuple[int, int], title: str) -> None:
 
 
 def _round_factor(lengths: Array, longest: float) -> float:
-    """Return 1, 2, 3 or 5 times a power of ten: a typical arrow of these lengths (n,) is then at most ``longest``."""
+    """Return the largest factor, 1, 2, 3 or 5 times a power of ten, that keeps the rms of lengths (n,) to ``longest``.
+
+    NaN does not count; it is 1 if no length is left, or all are 0.
+    """
     lengths = lengths[np.isfinite(lengths)]
     typical = float(np.sqrt(np.mean(lengths**2))) if len(lengths) else 0.0
     if not typical > 0.0:

@@ -99,7 +99,8 @@ def along_joints(c: Calibration) -> Array:
         c: The result, with N rows of m joint values.
 
     Returns:
-        shape (N, m), [m], signed; NaN where the joint changes the lengths by less than 2 mm/rad.
+        shape (N, m), [m], signed; NaN if the joint changes the lengths of the row by less than `_LEAST_LEVER`
+            a unit.
     """
     rows, _ = rows_and_setup(c.nominal, c.fit.measurements, c.fit.cell)
     T_frame_base, T_tip_target = setup_of_rows(c.setup, c.fit.measurements)
@@ -125,7 +126,10 @@ def along_joints(c: Calibration) -> Array:
 
 
 def _running_mean(ax: Axes, values: Array, parts: Array) -> None:
-    """Draw the mean of parts (K,) over runs of rows neighbouring in the joint's value, with two standard errors."""
+    """Draw the mean of parts (K,) [mm], NaN for none, over runs of rows with neighbouring joint values (K,).
+
+    A band around it is two standard errors wide on either side.
+    """
     order = np.argsort(values, kind="stable")
     order = order[np.isfinite(parts[order])]
     count = min(len(order) // _ROWS_PER_RUN, _MOST_RUNS)

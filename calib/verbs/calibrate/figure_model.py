@@ -246,7 +246,10 @@ def candidates(c: Calibration) -> Figure:
 
 
 def _bars(ax: Axes, values: Array, chosen_for: Sequence[str], number_format: str) -> None:
-    """Draw a bar for each model with its value, by what the model was chosen for, a key of `_CHOSEN`."""
+    """Draw a bar for each of k models, of values (k,), with the value as a format such as ``"{:.3f}"`` writes it.
+
+    Colour and hatch are by what the model was chosen for, a key of `_CHOSEN`.
+    """
     for key, (colour, hatch, label) in _CHOSEN.items():
         at = [k for k, use in enumerate(chosen_for) if use == key]
         if at:

@@ -159,7 +159,10 @@ def predicted_places(c: Calibration, q: Array) -> Array:
 
 
 def _draw_cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
-    """Draw the rms of the standard deviations (N,) [mm] of the poses at places (N, 2) in each hexagon of a view."""
+    """Draw the rms of standard deviations (N,) [mm] at places (N, 2) [mm] in each hexagon of a view; return hexagons.
+
+    The view's least and greatest corner are ``limits``, (2, 2) [mm].
+    """
     size = limits[1] - limits[0]
     across, up = _CELLS * size / np.max(size)
     columns = max(int(across), 4)

@@ -28,7 +28,10 @@ _Estimated = tuple[Parameter, ParameterEstimate]
 
 
 def target_sentences(c: Calibration) -> list[str]:
-    """Word the place of each target in the tip, its uncertainty, and its distance from the place given."""
+    """Word the place of each target in the tip, and that it was given or registered, or its 95 % interval.
+
+    An estimated one that was also given has its distance from there; places are in mm and, with orientations, deg.
+    """
     noun = "Board" if c.rows.images_of(np.ones(len(c.rows), dtype=bool)) else "Target"
     sentences = []
     for t, name in enumerate(c.setup.target_names):
@@ -63,9 +66,10 @@ def target_sentences(c: Calibration) -> list[str]:
 
 
 def frame_sentences(c: Calibration) -> list[str]:
-    """Word the pose of the base in each frame that was estimated, and its uncertainty.
+    """Word the pose of the base in each frame that was estimated, with its 95 % intervals; mm and deg.
 
-    Of a socket or an anchor it is the point in the base, of a plane its normal and distance.
+    Of images it is the camera's pose in the base; of a socket or an anchor the point in the base, and of a plane its
+    normal and distance, both without intervals.
     """
     sentences = []
     for f, directions in enumerate(c.setup.unknown):
@@ -99,7 +103,11 @@ def frame_sentences(c: Calibration) -> list[str]:
 
 
 def _frame_place(c: Calibration, T_frame_base: Array, kinds: Sequence[Kind]) -> str:
-    """Word the place of an estimated frame in which there are rows of some kinds."""
+    """Word the place of an estimated frame, T_frame_base (4, 4) [m], in mm and deg, by the kinds of its rows.
+
+    It is a camera's pose, the point of a socket or anchor, or a plane's normal and distance, in the base; for other
+    kinds the pose of the base in the frame.
+    """
     position = T_frame_base[:3, 3]
     base = c.nominal.base
     if any(kind.is_image for kind in kinds):
@@ -135,7 +143,10 @@ def _rpy(T: Array) -> str:
 
 
 def _half_widths(c: Calibration, place: str, directions: Iterable[str], name: str) -> str:
-    """List half the 95 % intervals [mm] or [deg] of the named frame or target in directions such as ``x`` or ``rx``."""
+    """List half the 95 % intervals [mm] or [deg] of the ``"frame"`` or ``"target"`` in directions such as ``"rx"``.
+
+    Its name is empty if its parameters do not bear one.
+    """
     factors = {"m": 1e3, "rad": math.degrees(1.0)}
     half_widths = []
     for direction in directions:
@@ -158,7 +169,7 @@ def camera_and_board_sentences(c: Calibration) -> list[str]:
 
 
 def _camera(estimated: Sequence[_Estimated]) -> str:
-    """Word the numbers of one camera: the values, and half their 95 % intervals."""
+    """Word the numbers of one camera that were estimated: the values, and half their 95 % intervals."""
     parts = []
     for parameter, p in estimated:
         digits = _DIGITS[parameter.unit]
@@ -188,7 +199,7 @@ def _board(estimated: Sequence[_Estimated]) -> str:
 
 
 def _half(p: ParameterEstimate, digits: int, factor: float = 1.0) -> str:
-    """Write half the width of a parameter's 95 % interval, times a factor, with so many decimals."""
+    """Write half the width of a parameter's 95 % interval, times a factor to the unit shown, with so many decimals."""
     return number(0.5 * factor * (p.high - p.low), digits)
 
 

@@ -179,7 +179,7 @@ def _first_page(c: Calibration, columns: Sequence[ErrorColumn]) -> Block:
 
 
 def _rows_text(m: Measurements) -> str:
-    """Count the rows of each set, and name the convention in which orientations were given."""
+    """Word the numbers of rows to estimate and to validate, and the convention of orientations, if any were given."""
     text = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate"
     if m.orientation:
         text += f"; orientations as {find_convention(m.orientation).words}"
@@ -387,7 +387,7 @@ def _identifiability(c: Calibration) -> Iterator[Block]:
 
 
 def _measurements(c: Calibration) -> Iterator[Block]:
-    """List what was measured, where, and with which noise."""
+    """List what was measured, where, with which noise, the joints' ranges, and validation rows outside of them."""
     m, facts = c.fit.measurements, texts.facts(c)
     unused = f"; {len(m.unmeasured):,} more without a measurement, not used" if m.unmeasured else ""
     at = ", ".join(mm(value) for value in c.T_frame_base[:3, 3])
@@ -422,7 +422,7 @@ def _measurements(c: Calibration) -> Iterator[Block]:
 
 
 def _method(c: Calibration) -> Iterator[Block]:
-    """Word how the problem was solved and validated."""
+    """Word how the problem was solved; for HTML, with the fit in memory, also how it was validated, and the priors."""
     solver, message = texts.solver_text(c), c.method.solution.message
     seconds = c.method.seconds
     time = "" if math.isnan(seconds) else f", {1e3 * seconds:.0f} ms"

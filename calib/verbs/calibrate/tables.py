@@ -66,7 +66,8 @@ _DH_COLUMNS = (
 def error_rows(c: Calibration) -> list[ErrorRow]:
     """Return the rows of the error tables: nominal and calibrated, by set, and on held-out rows.
 
-    Those of the nominal robot are left out if a measurement frame was not found: they are those of its wrong place.
+    Held-out rows have the non-geometric model too, and if there are outliers, the errors without them as well. Those of
+    the nominal robot are left out if a measurement frame was not found: they are those of its wrong place.
     """
     rows = []
     for name in ("estimation", "validation"):
@@ -163,7 +164,7 @@ def before_and_after(c: Calibration, columns: Sequence[ErrorColumn] = ERROR_COLU
     rows: list[Row] = []
 
     def add_rows(name: str, unit: str, labelled: Sequence[tuple[str, Errors, Errors]]) -> None:
-        """Add a row for each set that has errors in a unit; the first one says what they are of."""
+        """Add a row for each set that has errors, nominal and calibrated, in a unit; only the first has the name."""
         for label, of_nominal, of_calibrated in labelled:
             figures = of_nominal[unit], of_calibrated[unit]
             if figures[1].n:
@@ -243,7 +244,10 @@ def validation_rows(c: Calibration) -> Table:
 
 
 def flagged(c: Calibration) -> Table:
-    """Tabulate the flagged rows of either set: errors before and after, score, and weight in the fit."""
+    """Tabulate the flagged rows of either set: errors before and after, score, and weight in the fit.
+
+    Errors are in the first unit that was measured.
+    """
     outliers = [*c.rows.outliers, *c.rows.suspects]
     index_of = {row: i for i, row in enumerate(c.rows.numbers)}
     indices = np.array([index_of[outlier.row] for outlier in outliers], dtype=np.int_)
@@ -281,7 +285,10 @@ def flagged(c: Calibration) -> Table:
 def _row_names(
     c: Calibration, indices: NDArray[np.int_]
 ) -> tuple[list[Column], list[Sequence[Cell]]]:
-    """Return columns and cells that identify rows: their number; kind, target and station if there are several."""
+    """Return columns, and the cells of each, that identify rows by their indices (k,), from 0.
+
+    They are the row's number, and its kind, target and station if the result has several of these.
+    """
     columns = [name_column("row")]
     values: list[Sequence[Cell]] = [[str(c.rows.numbers[i]) for i in indices]]
     optional = (("kind", c.rows.kinds), ("target", c.rows.targets), ("station", c.rows.groups))
@@ -296,7 +303,10 @@ def _row_names(
 
 
 def parameters(c: Calibration) -> Table:
-    """Tabulate the parameters with their 95 % intervals; a star marks those known in combination with others only."""
+    """Tabulate the parameters with half their 95 % intervals, each in the unit in which it is shown.
+
+    A star marks those known in combination with others only, a hash those kept nominal, whose family has no errors.
+    """
     kept = errorless(c)
     rows = []
     for p in shown_parameters(c):
@@ -486,7 +496,7 @@ def ranges(c: Calibration) -> Table:
 
 
 def models(c: Calibration) -> Table:
-    """Tabulate the models that were tried, and what they were chosen for."""
+    """Tabulate the models that were tried: evidence relative to the best, held-out error, what they were chosen for."""
     candidates = c.method.candidates
     best = max((candidate.evidence for candidate in candidates), default=0.0)
     uses = {"geometry": "the URDF", "non_geometric": "predict()"}

@@ -161,7 +161,7 @@ def weights_text(c: Calibration) -> str:
 
 
 def outliers_text(c: Calibration, outliers: Sequence[Outlier]) -> str:
-    """List rows, or the images that they are corners of, with residual and score."""
+    """List rows, or the images that they are corners of, with residual and score; beyond `_LISTED` they are counted."""
     if not c.rows.images:
         rows = []
         for outlier in outliers[:_LISTED]:
@@ -219,7 +219,7 @@ def robustness_text(robustness: Robustness) -> str:
 
 
 def errorless(c: Calibration) -> frozenset[str]:
-    """Return the names of the parameters of families that the data showed to have no errors.
+    """Return the names of the parameters of families that the data showed to have no errors; none with given priors.
 
     Their family's estimated prior standard deviation is zero to the digits shown: they stay nominal, and their
     interval, which is zero too, is not shown, because it would be taken for knowledge of them.

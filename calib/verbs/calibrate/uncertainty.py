@@ -230,7 +230,7 @@ def bootstrap(
 
 
 def _draws(problem: Problem, count: int, seed: int) -> Iterator[tuple[Array, Array]]:
-    """Draw how often each of N rows is taken, (N,), and standard normal numbers, one for each prior and known distance.
+    """Draw ``count`` times how often each of N rows is taken, (N,), and a normal number for each prior and distance.
 
     Those are of shape (p + K,) for p parameters and K known distances between frames.
     """
@@ -273,8 +273,8 @@ def bootstrap_counts(
 def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
     """Fit one draw of a bootstrap, which gives its parameters, shape (p,), and whether the fit converged.
 
-    ``drawn`` is how often each row is taken, by which its weight is multiplied, and the normal numbers by which the
-    means of the priors and the known distances are moved, in their standard deviations.
+    ``drawn`` is how often each row is taken, (N,), by which its weight is multiplied, and the normal numbers by which
+    the means of the priors and the known distances are moved, in their standard deviations, (p + K,).
     """
     problem, start = fitted.estimate.problem, fitted.estimate.x
     counts, normal = drawn
@@ -404,7 +404,7 @@ def profile(
 def _least_cost(fitted: Fitted, k: int, value: float) -> float:
     """Return the least sum of squares over their variance, the priors' included, with parameter k held at an offset.
 
-    The offset counts from the registered start.
+    The offset counts from the registered start, in the parameter's unit; all others are fitted.
     """
     estimate = fitted.estimate
     problem, C = estimate.problem, estimate.covariance
@@ -428,7 +428,7 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
 
 def _check_solver(fitted: Fitted) -> None:
-    """Refuse a fit by the paper's solver: its solution is not the least cost of the problem."""
+    """Refuse a fit by the paper's solver by a `ModelError`: its solution is not the least cost of the problem."""
     if not fitted.task.has_weights_and_priors:
         raise ModelError("The solver 'paper' has neither bootstrap nor profile. Choose 'lm'.")
 
@@ -440,5 +440,5 @@ def _evenly(samples: Samples) -> Samples:
 
 
 def _in_first_frame(samples: Samples) -> Samples:
-    """Return samples as seen from the first measurement frame: one rigid motion can be fitted to all positions."""
+    """Return samples all in the first measurement frame, so that one rigid motion can be fitted to all positions."""
     return replace(samples, frame=np.zeros_like(samples.frame))

@@ -203,13 +203,13 @@ def compare(
 
 
 def _chain_and_readings(robot: Robot) -> tuple[Any, ...]:
-    """Return the facts by which two robots are one chain: links, joints, held values and coupled readings."""
+    """Return the facts by which two robots are one chain: base, tip, joints, held values and coupled readings."""
     joints = (robot.joint_names, set(robot.origins()), robot.held, robot.reading_coupling)
     return robot.base, robot.tip, joints
 
 
 def _obstacle(first: Calibration, second: Calibration, differences: Differences) -> Why:
-    """Return why it cannot be said whether the robot drifted; empty if it can."""
+    """Return why it cannot be said whether the robot drifted, such as ``"same data"``; empty if it can."""
     if first is second:
         return "same data"
     if first.source.sha256 and first.source.sha256 == second.source.sha256:

@@ -111,6 +111,10 @@ def differences_of(first: Calibration, second: Calibration, *, same_start: bool)
         first: Result a.
         second: Result b, of the same chain.
         same_start: Whether both have the same nominal joint origins, from which their parameters count.
+
+    Returns:
+        The test; the displacement of the target from a to b, over the joint values that both data cover and over the
+        limits [m]; the parameters that frame and target compensate, and those whose effects only one result can have.
     """
     compensation = _Compensation.of(first, second, same_start=same_start)
     inside = compensation.inside
@@ -248,7 +252,7 @@ def _estimate(result: Calibration, other: Calibration) -> Estimate:
 
 
 def _shared_precision(result: Calibration, other: Calibration) -> Array:
-    """Return 1 / variance of the common prior of each of the robot's own parameters, [1/unit^2].
+    """Return 1 / variance of the common prior of each of the robot's p own parameters, (p,) [1/unit^2].
 
     It is the lower precision of both results, or this result's if the other lacks the parameter; but never so high
     that it would leave no room for a drift, nor lower than what any arm errs by.
@@ -290,7 +294,7 @@ class _Predictions:
 
     @classmethod
     def of(cls, a: Calibration, b: Calibration, q: Array) -> _Predictions:
-        """Predict the first target of result a at joint values q, shape (N, m), [rad] or [m]."""
+        """Predict the first target of result a by both results at joint values q, shape (N, m), [rad] or [m]."""
         turns = a.setup.rotation and b.setup.rotation
         poses, effects, slopes = [], [], []
         for result in (a, b):
@@ -400,7 +404,7 @@ class _Compensation:
         return np.asarray(at.difference_under(self.estimates) - at.gauge @ self.motion)
 
     def displacement(self, where: Where, at: _Predictions) -> Displacement:
-        """Return the displacement of the target from result a to result b, without the motion."""
+        """Return the target's displacement from a to b, without the motion, over the joint values of predictions."""
         moved = self.difference(at).reshape(-1, at.coordinates)
         points, angles = moved[:, :3], moved[:, 3:] / _LEVER  # b less a, (N, 3) [m] and [rad]
         # Derivative of the points by the parameters of both, (N, 3, p_a + p_b): the motion follows the parameters.
@@ -437,7 +441,10 @@ class _OwnEffects:
 
     @classmethod
     def of(cls, result: Calibration, effect: Array, compensation: _Compensation) -> _OwnEffects:
-        """Subtract from displacements (N D, p) by a unit of each parameter what a motion explains of each."""
+        """Subtract from displacements (N D, p) [m] by a unit of each own parameter what a motion explains of each.
+
+        They are of the joint values that both data cover, as the compensation is.
+        """
         explained = compensation.inside.gauge @ (compensation.to_motion @ effect)
         remaining = np.asarray(effect - explained)
         size = np.linalg.norm(effect, axis=0)

@@ -75,7 +75,7 @@ def _results(c: Comparison) -> Iterator[Block]:
 
 
 def _answer(c: Comparison) -> Iterator[Block]:
-    """Write the answer and the numbers that it rests on."""
+    """Write the answer, and below it the test, the displacements [mm, deg] and the motions that they leave out."""
     lines = []
     if c.test.combinations and (c.outcome != "cannot tell" or c.only_a or c.only_b):
         p = f"p = {c.test.p:.2g}" if c.test.p > _SMALLEST_P else "p < 1e-12"
@@ -124,7 +124,7 @@ def sentence(c: Comparison) -> str:
 
 
 def _results_with(c: Comparison, use: str) -> str:
-    """Name the results with this verdict."""
+    """Name the results with this verdict, such as ``"do not use"``; empty if there are none."""
     names = [
         name
         for _, name, result in c.results
@@ -134,7 +134,7 @@ def _results_with(c: Comparison, use: str) -> str:
 
 
 def _only(c: Comparison) -> str:
-    """List the parameters that only one result has."""
+    """List, result by result, the parameters whose effects the other one cannot have."""
     parts = []
     for (_, name, result), parameters in zip(c.results, (c.only_a, c.only_b), strict=True):
         if parameters:

@@ -84,7 +84,7 @@ def demo(
 
 
 def _calibrate() -> tuple[Calibration, Calibration]:
-    """Calibrate the paper's robot by calib, and by the paper's algorithm."""
+    """Calibrate the paper's robot by calib, then by the paper's algorithm without cross-validation."""
     from calib.basics.arrays import read_only
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
@@ -127,7 +127,7 @@ def _calibrate_by_camera(*, quiet: bool) -> Calibration:
 
 
 def _write(result: Calibration, paths: list[Path], *, force: bool) -> None:
-    """Write URDF, result, report and page."""
+    """Write URDF, result, report and page to four paths in this order."""
     from calib.verbs.calibrate.report import write_report
     from calib.verbs.view.robots_page import write_page
 
@@ -139,7 +139,7 @@ def _write(result: Calibration, paths: list[Path], *, force: bool) -> None:
 
 
 def _against_the_paper(result: Calibration, by_paper: Calibration) -> str:
-    """Compare the errors on rows 31 to 35, by calib and by the paper's algorithm, with those that the paper prints."""
+    """Tabulate the errors on rows 31 to 35 [mm] by calib and by the paper's algorithm beside those of the paper."""
     from calib.show.as_text import blocks_text
     from calib.show.tables import Column, Table, name_column
 

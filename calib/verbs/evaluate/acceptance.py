@@ -94,8 +94,8 @@ class Acceptance:
     accuracy: Accuracy
     #: One of `CRITERIA`
     criterion: str
-    #: The comparison in each unit of which a tolerance was stated: ``"m"`` of positions or lengths, ``"rad"`` of
-    #: orientations
+    #: The comparison in each unit that has a tolerance, by its symbol: ``"m"`` of positions or lengths, ``"rad"`` of
+    #: orientations, ``"px"`` of images
     checks: Mapping[str, Check]
     #: Number of poses that are within the tolerances, by the error that the criterion looks at in each
     within: int
@@ -105,7 +105,7 @@ class Acceptance:
         object.__setattr__(self, "checks", ReadOnlyMapping(self.checks))
 
     def __repr__(self) -> str:
-        """Return one line: the outcome, each figure with its tolerance, and the poses within."""
+        """Return one line: the outcome; the figure and its tolerance in mm, deg or px; the number of poses within."""
         figures = []
         for symbol, check in self.checks.items():
             unit = residual_unit(symbol)
@@ -139,7 +139,7 @@ class Acceptance:
         return pose_error(pose, self.criterion, unit)
 
     def used(self, pose: PoseAccuracy) -> float:
-        """Return the share of its tolerance that a judged pose uses [1]: the largest of the units, 0 if it has none."""
+        """Return a judged pose's error over its tolerance [1]: the largest of the units, 0 if it has none."""
         largest = 0.0
         for unit, check in self.checks.items():
             share = self.size(pose, unit) / check.tolerance
@@ -155,7 +155,8 @@ def pose_error(pose: PoseAccuracy, criterion: str, unit: str) -> float:
         pose: Accuracy and repeatability at the pose.
         criterion: ``"single"`` looks at the largest error of a single repeat, ``"max"`` and ``"mean"`` at the pose
             accuracy AP.
-        unit: Symbol of the unit: ``"m"`` for the error of the position or length, ``"rad"`` for the orientation's.
+        unit: Symbol of the unit: ``"m"`` for the error of the position or length, ``"rad"`` for the orientation's,
+            ``"px"`` for that in the image.
 
     Returns:
         The error in the unit, 0 or more; NaN if it was not measured at the pose.
@@ -180,10 +181,10 @@ def acceptance(
     Args:
         evaluation: Residuals, measured minus predicted, of the robot that is judged at the N rows of a table, with
             frames and targets as given or registered.
-        tolerance: By the symbol of its unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations; what has none
-            is not judged.
+        tolerance: By the symbol of its unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations, ``"px"`` of
+            images; what has none is not judged.
         uncertainty: Expanded uncertainty (k = 2) of what is measured, by the same symbols; None, and a unit that is
-            missing, count as 0.
+            missing, count as 0. A unit without a tolerance has no effect.
         criterion: Figure that must be within: ``"max"``, the pose accuracy AP of every pose, the norm of its mean error
             over repeats; ``"mean"``, the mean of AP over the poses; ``"single"``, the error of every single repeat.
         seen: True for the rows that a calibration of this robot was fitted to, shape (N,); or one bool: whether it was
@@ -373,10 +374,11 @@ def assess(
 
 
 def _refuse_commands(robot: Robot, table: Measurements, calibration: Calibration | None) -> None:
-    """Refuse a table of commands, whose poses the nominal robot predicts: any tolerance would seem to be kept.
+    """Refuse a table of commands by a `MeasurementError`: the nominal robot predicts them, so any tolerance seems kept.
 
     Commands are recognised by a column that 'calib compensate' writes, together with errors of the nominal robot below
-    `_EXACT` [m] in all rows, which hold more scalars than the registration of frame and target has unknowns.
+    `_EXACT` [m] in all rows, which hold more scalars than the registration of frame and target has unknowns. With
+    too few rows for that registration nothing is refused.
     """
     columns = {split_header(label)[0] for label in table.ignored}
     if _COMMANDS not in columns:

@@ -44,7 +44,8 @@ FEWEST_REPEATS = 3
 #: With this many poses or more, rows that were not fitted are judged alone, even if the table does not set them aside.
 FEWEST_APART = 5
 
-#: Residuals that differ by less are those of one row [m]: far above rounding, far below the difference of repeats.
+#: Residuals that differ by less are those of one row [m, rad or px]: far above rounding, far below the difference of
+#: repeats.
 _SAME = 1e-7
 
 
@@ -90,7 +91,7 @@ class PoseAccuracy(Value):
         object.__setattr__(self, "by_unit", ReadOnlyMapping(self.by_unit))
 
     def __getitem__(self, unit: str) -> PoseFigures:
-        """Return the figures in a unit, by its symbol; all NaN if none was measured."""
+        """Return the figures in the unit of a symbol, ``"m"``, ``"rad"`` or ``"px"``; all NaN if none was measured."""
         return self.by_unit.get(unit, _NOTHING)
 
 
@@ -142,10 +143,10 @@ class Accuracy:
 
         Args:
             name: ``"ap"``, ``"rp"`` or ``"single"``, as of `PoseFigures`.
-            unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations.
+            unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations, ``"px"`` of images.
 
         Returns:
-            shape (k,), in the order of the poses.
+            shape (k,), in that unit, in the order of the poses; those without the figure are left out.
         """
         values = np.array([getattr(pose[unit], name) for pose in self.poses])
         return np.asarray(values[np.isfinite(values)])
@@ -154,10 +155,11 @@ class Accuracy:
         """Return the largest and the mean AP and RP over the poses that have them, and the largest single error.
 
         Args:
-            unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations.
+            unit: Symbol of the unit: ``"m"`` of positions and lengths, ``"rad"`` of orientations, ``"px"`` of images.
 
         Returns:
-            By ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``; NaN if no pose has one.
+            In that unit, by ``"ap_max"``, ``"ap_mean"``, ``"rp_max"``, ``"rp_mean"`` and ``"single_max"``; NaN if no
+            pose has one.
         """
         figures = {}
         for name in ("ap", "rp"):
@@ -245,7 +247,7 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
 
 
 def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccuracy, ...]:
-    """Return accuracy and repeatability at each pose of the judged rows, in the order of their first rows.
+    """Return accuracy and repeatability at each pose of the judged rows, (N,), in the order of their first rows.
 
     Vectors are turned into the axes of the base, e_base = R^T e_frame, with the rotation R of T_frame_base.
     """
@@ -411,7 +413,7 @@ class _KnownResiduals:
 
     @classmethod
     def of(cls, nominal: Array, corrected: Array, channels: Channels) -> _KnownResiduals:
-        """Return residuals (N, D) by both robots with a mask of the scalars that count."""
+        """Keep residuals (N, D) by both robots with a mask of the scalars that count, in each row's first unit."""
         counts = np.zeros_like(channels.used)
         for unit in channels.present:
             not_yet = ~counts.any(axis=1, keepdims=True)
@@ -423,7 +425,7 @@ class _KnownResiduals:
         return np.flatnonzero(self.counts.sum(axis=1) == scalars)
 
     def side_by_side(self, rows: Integers) -> Array:
-        """Return the k residuals of n rows by the nominal, then those by the corrected robot, shape (n, 2 k)."""
+        """Return the k residuals that count in n rows, by the nominal, then by the corrected robot, (n, 2 k)."""
         both = []
         for residual in (self.nominal, self.corrected):
             scalars = residual[rows][self.counts[rows]]

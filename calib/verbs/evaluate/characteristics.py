@@ -107,7 +107,7 @@ def characteristics(evaluation: Evaluation, judged: Accuracy) -> tuple[Character
 def _summarise(
     symbol: str, unit: str, values: Array, rows: Sequence[tuple[int, ...]]
 ) -> Characteristic:
-    """Return the largest and the mean of values (k,), NaN for none, of k poses or pairs with their first rows."""
+    """Summarise a characteristic of k poses or pairs: values (k,), NaN for none, and numbers of their first rows."""
     has_value = np.isfinite(values)
     if not np.any(has_value):
         return Characteristic(symbol, unit, np.nan, np.nan, 0, ())
@@ -123,7 +123,10 @@ def _summarise(
 
 
 def _of_distances(evaluation: Evaluation, repeats: Sequence[_Repeats]) -> list[Characteristic]:
-    """Return AD and RD of all pairs of poses of one target at one station; RD of `FEWEST_REPEATS` repeats or more."""
+    """Return AD and RD [m] over the pairs of poses of one target at one station, of each place's first `MOST_POSES`.
+
+    Poses without measured positions are left out; RD takes pairs with `FEWEST_REPEATS` repeats or more.
+    """
     columns, are_positions = evaluation.channels.vector_columns(_LENGTH)
     has_position = are_positions & evaluation.measurements.positions
     places: dict[tuple[str, str], list[NDArray[np.intp]]] = {}
@@ -184,9 +187,10 @@ def _distance_errors(
 
 
 def _variation(errors: Array, approaches: NDArray[np.str_]) -> float:
-    """Return vAP of one pose, between the approaches that have `FEWEST_REPEATS` repeats; NaN with fewer than two.
+    """Return vAP of one pose, the largest distance between the mean errors of two approaches, in the errors' unit.
 
-    The errors are (n, d), and their approaches, (n,), empty if not given.
+    The errors are (n, d), the names of their approaches (n,), empty if not given. Approaches with fewer than
+    `FEWEST_REPEATS` repeats do not count; NaN if fewer than two remain.
     """
     means = []
     for approach in dict.fromkeys(approaches.tolist()):
@@ -200,7 +204,7 @@ def _variation(errors: Array, approaches: NDArray[np.str_]) -> float:
 def _largest_change(errors: Array, figure: Callable[[Array], float]) -> float:
     """Return the largest change of a figure of errors (n, d) from the first ten repeats to any later ten; NaN for none.
 
-    The repeats of the pose are in the order of time.
+    The repeats of the pose are in the order of time; an incomplete last ten is left out.
     """
     starts = range(0, len(errors) - DRIFT_REPEATS + 1, DRIFT_REPEATS)
     figures = [figure(errors[start : start + DRIFT_REPEATS]) for start in starts]

@@ -35,10 +35,17 @@ _METAVAR = '"LENGTH [ANGLE] [PIXELS]"'
 
 
 def parse_by_unit(text: str, option: str) -> dict[str, float]:
-    """Return sizes in one or more units of residuals, such as ``0.5 mm 0.1 deg``, in SI units by the symbol.
+    """Read one size for each of some units of residuals, such as ``0.5 mm 0.1 deg``.
+
+    Args:
+        text: The sizes, each with its unit.
+        option: Name of the option, for messages.
+
+    Returns:
+        Each size [m], [rad] or [px], by the symbol of its unit.
 
     Raises:
-        CalibError: It is no such text, or a size is negative.
+        CalibError: The text is not of this form, or a size is negative.
     """
     from calib.basics.channels import RESIDUAL_UNITS
     from calib.basics.units import parse_quantities, quantity_name
@@ -90,7 +97,9 @@ class AcceptanceOptions:
     ] = None
 
     def limits(self) -> dict[str, Any]:
-        """Return the limits as `calib.verbs.evaluate.acceptance.assess` takes them, by unit; empty without a tolerance.
+        """Return tolerance, uncertainty and criterion by name, as `calib.verbs.evaluate.acceptance.assess` takes them.
+
+        Tolerance and uncertainty are by the symbol of their unit, in SI units or px; without a tolerance it is empty.
 
         Raises:
             CalibError: An option that needs a tolerance is given without one.

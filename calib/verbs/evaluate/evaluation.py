@@ -161,7 +161,7 @@ def evaluate(
         ArgumentError: Robot, measurements or cell are of another type.
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
         ModelError: Frames are taken from the earlier result, and the table has a station that it lacks and whose frame
-            is not to be registered.
+            is not to be registered; or ``which`` has another name.
     """
     arm, table, known_cell = inputs_of(robot, measurements, cell)
     check_names("which", which)
@@ -236,10 +236,11 @@ def _not_given(setup: Setup) -> tuple[str, ...]:
 
 
 def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
-    """Return a table's frames and targets with those of an earlier result, which are then given and no longer unknown.
+    """Return a table's setup with frames, targets or both (``which``) of an earlier result, which then count as given.
 
     They are matched by name. If table and result have one frame each, or one target, these are matched whatever they
-    are called; but a single target that the table names, so that it is not the default one, is matched by name.
+    are called; but a single target that the table names, so that it is not the default one, is matched by name. Raises
+    `ModelError` if the result lacks a station whose frame is not to be registered.
     """
     # Index in the result by the index in the table, both from 0, without those that the result lacks.
     frame_index: dict[int, int] = {}
@@ -282,7 +283,10 @@ def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
 def _match(
     names: tuple[str, ...], known: tuple[str, ...], *, by_name: bool = False
 ) -> dict[int, int]:
-    """Match names of a table with those of a result, or the only one with the only one unless ``by_name``."""
+    """Return the index of each name in a result by its index in the table, both from 0; names it lacks are left out.
+
+    If both have one name only, these are matched whatever they are, unless ``by_name``.
+    """
     if len(names) == len(known) == 1 and not by_name:
         return {0: 0}
     return {k: known.index(name) for k, name in enumerate(names) if name in known}
@@ -309,7 +313,8 @@ def moved_place(
 
     Returns:
         The reason, ``FRAME_MOVED`` or ``TARGET_MOVED``, with the rms errors in length before, ``given_m``, and after,
-        ``error_m`` [m]; None if nothing has moved, or the error is below `_SMALL`.
+        ``error_m`` [m]; None if nothing has moved, the error is at most `_SMALL`, or no length was measured. A place
+        with too few rows for a new registration does not count as moved.
     """
     as_known = evaluate(robot, measurements, cell, known=known, which=which)
     rms, best = as_known.errors["all"]["m"].rms, None

@@ -83,7 +83,7 @@ def evaluation_html(e: Evaluation) -> str:
 def write_evaluation_report(
     evaluation: Evaluation, accepted: Acceptance | None, path: str | Path, *, overwrite: bool
 ) -> Path:
-    """Write the report of one evaluation; see `Evaluation.write_report`."""
+    """Write the report of one evaluation, and of its acceptance unless None; see `Evaluation.write_report`."""
     check_type("accepted", accepted, (Acceptance, type(None)), "of calib.acceptance, or None")
     return write_report(Assessment.of_one(evaluation, accepted), path, overwrite=overwrite)
 
@@ -131,7 +131,7 @@ def report(
         Section(lambda: [_verdict(e, origins.result), tables.checks(e), rule], "Outcome"),
         Section(lambda: [places], on=TERMINAL),
         Section(errors, on=TERMINAL | NOTEBOOK),
-        Section(partial(_images, e, origins.result), on=TERMINAL),
+        Section(partial(_images, e), on=TERMINAL),
         Section(partial(_accuracy, e), "Accuracy and repeatability"),
         Section(lambda: [tables.poses(e, named_robot(e.judged, origins.result))], "Poses"),
         Section(lambda: [Paragraph(hint)], on=TERMINAL),
@@ -146,8 +146,11 @@ def report(
     return Page(document, f"robot {robot_name(robot)}", sections, date)
 
 
-def _first_page(e: Assessment, result: str) -> Block:
-    """Make the first page of the report: outcome, record, robot, uncertainty, accuracy before and after, signatures."""
+def _first_page(e: Assessment, result_name: str) -> Block:
+    """Make the first page of the report: outcome, record, robot, uncertainty, accuracy before and after, signatures.
+
+    The outcome names the file of the calibration's result, ``result_name``.
+    """
     urdf = e.evaluations["urdf"]
     # Without a tolerance it is filled in by hand.
     uncertainty = ""
@@ -159,7 +162,7 @@ def _first_page(e: Assessment, result: str) -> Block:
         ]
         uncertainty = listed(stated) or "not stated"
     return FirstPage(
-        verdict=_verdict(e, result),
+        verdict=_verdict(e, result_name),
         section="Outcome",
         record=urdf.record,
         robot=urdf.robot,
@@ -171,19 +174,19 @@ def _first_page(e: Assessment, result: str) -> Block:
     )
 
 
-def _verdict(e: Assessment, result: str) -> Verdict:
-    """Word the outcome and what it rests on, or why there is none; a terminal has no outcome without a tolerance."""
+def _verdict(e: Assessment, result_name: str) -> Verdict:
+    """Word the outcome and what it rests on, or, for HTML only, that no tolerance was stated; see `outcome_reasons`."""
     if e.accepted is not None:
-        return Verdict(e.accepted.outcome, list(outcome_reasons(e, result)))
+        return Verdict(e.accepted.outcome, list(outcome_reasons(e, result_name)))
     reasons = ["No tolerance was stated, so there is no outcome."]
     if e.hint is not None:
         reasons.append(reason_text(e.hint))
     return Verdict("none", reasons, on=HTML)
 
 
-def _images(e: Assessment, result: str) -> Iterator[Block]:
-    """Tabulate the errors of images, and count them."""
-    yield tables.image_errors(e, result)
+def _images(e: Assessment) -> Iterator[Block]:
+    """Tabulate the errors of images, and count images and corners; no rows and no count without images."""
+    yield tables.image_errors(e)
     # All robots are compared with the same images.
     counted = e.evaluations["urdf"].images
     if counted is not None:

@@ -101,15 +101,15 @@ def errors(
         yield replace(table, indent="  ")
 
 
-def image_errors(e: Assessment, result: str) -> Table:
-    """Tabulate the errors of images, a row for each robot; no rows without images."""
+def image_errors(e: Assessment) -> Table:
+    """Tabulate the errors of images in px and at the board in mm, a row for each robot; no rows without images."""
     rows: list[Row] = []
     for who, evaluation in e.evaluations.items():
         i = evaluation.images
         if i is not None:
             pixels = (i.mean, i.p95, i.largest, *i.bias)
             lengths = (i.mean_at_board, i.p95_at_board, i.largest_at_board)
-            rows.append((NAMES[who].format(result), *pixels, *lengths))
+            rows.append((NAMES[who], *pixels, *lengths))
     columns = (
         name_column("", 26),
         *(
@@ -263,9 +263,9 @@ def poses(e: Assessment, robot: str) -> Table:
 
 
 def before_and_after(e: Assessment) -> Table:
-    """Tabulate AP and RP of the nominal and of the judged robot, and what is compared with a tolerance.
+    """Tabulate AP and RP of the nominal and of the judged robot, and the figure that is compared with a tolerance.
 
-    The rows that are compared are in bold, and have what counts against them; see `checks`.
+    Its rows are in bold, and have uncertainty, the sum that decides, tolerance and outcome; see `checks`.
     """
     a = e.accepted
     compared = "" if a is None else FIGURE_KEYS[a.criterion]
@@ -296,7 +296,10 @@ def before_and_after(e: Assessment) -> Table:
 
 
 def checks(e: Assessment) -> Table:
-    """Tabulate the figure compared with each tolerance, and what counts against it; no rows without a tolerance."""
+    """Tabulate the figure compared with each tolerance, factor, uncertainty, the sum that decides, and the outcome.
+
+    Without a tolerance there are no rows.
+    """
     rows: list[Row] = []
     a = e.accepted
     if a is not None:

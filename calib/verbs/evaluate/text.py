@@ -79,7 +79,7 @@ def named_robot(who: str, result: str) -> str:
 
 
 def rows_label(pose: PoseAccuracy) -> str:
-    """Name the rows of a pose: ``row 4``, ``rows 1, 2, 3, ...``; of pairs the first one."""
+    """Name the first rows of a pose: ``row 4``, ``rows 1, 2, 3, ...``; of pairs the first row alone."""
     rows = pose.rows
     if registry.get(pose.kind).paired:
         rows = rows[:1]
@@ -91,7 +91,7 @@ def rows_label(pose: PoseAccuracy) -> str:
 
 
 def place_sentences(e: Assessment, source: str) -> list[str]:
-    """Word the places of targets and frames, and their sources.
+    """Word the place of each target in the tip [mm], its source, and that frames were registered to the rows, if so.
 
     Args:
         e: The evaluation.
@@ -227,7 +227,7 @@ def _rows_reasons(a: Acceptance) -> Iterator[str]:
 
 
 def rule_sentences(e: Assessment) -> Iterator[str]:
-    """Word poses and repeats, and the rule by which the outcome is decided."""
+    """Word poses and repeats, and, if a tolerance was stated, the rule by which the outcome is decided."""
     judged = e.accuracies[e.judged]
     yield f"Evaluated: {plural(len(judged.poses), 'pose')}, each measured {times(*judged.repeats)}."
     if e.judged in ("calibration", "non_geometric"):

@@ -194,7 +194,10 @@ def fleet(
 def _robots_by_name(
     robots: RobotsInput, tables: Mapping[str, TableInput]
 ) -> Mapping[str, RobotInput]:
-    """Return the robot of each table by the table's name, whichever way the robots were given."""
+    """Return the robot of each table by the table's name, whichever way the robots were given.
+
+    Raises `ArgumentError` for another type, and `CalibError` if they are not one for all or one for each table.
+    """
     if isinstance(robots, (Robot, str, Path)):
         return dict.fromkeys(tables, robots)
     if isinstance(robots, Mapping):
@@ -217,7 +220,7 @@ def _robots_by_name(
 def _check_all_given(
     argument: str, given: Mapping[str, Any], tables: Mapping[str, TableInput]
 ) -> None:
-    """Refuse a mapping that lacks one of the tables' names, or has another one."""
+    """Refuse by a `CalibError` a mapping that lacks one of the tables' names, or has another one."""
     missing = [name for name in tables if name not in given]
     others = [str(name) for name in given if name not in tables]
     if missing or others:

@@ -183,9 +183,9 @@ ROW_LAYOUT = JsonLayout({}, {})
 
 
 def fleet_csv(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) -> bytes:
-    """Return the table for a spreadsheet: UTF-8, one line for each robot, lengths in mm, angles in mrad.
+    """Return the table for a spreadsheet: UTF-8, one line for each robot.
 
-    Figures of a unit that no robot measured have no column.
+    Lengths are in mm, angles in mrad, image coordinates in px. Figures of a unit that no robot measured have no column.
 
     Args:
         rows: The robots.

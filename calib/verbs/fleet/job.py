@@ -218,7 +218,7 @@ def fingerprint(*values: object) -> str:
 
 
 def _parts(value: object) -> object:
-    """Return a value that JSON does not have as its type's name and the values it consists of."""
+    """Return a value that JSON does not have as its type's name and the values it consists of, or raise `TypeError`."""
     kind = type(value).__name__
     if is_dataclass(value) and not isinstance(value, type):
         compared = [f.name for f in fields(value) if f.compare]

@@ -88,7 +88,10 @@ def _load(
     points_unit: str | None,
     read_urdf: UrdfReader,
 ) -> FleetInputs:
-    """Read the inputs of the robot of a row, by its cells that are not empty; the options hold for what they omit."""
+    """Read the inputs of the robot of a row, by its cells that are not empty; the options hold for what they omit.
+
+    Paths count from the manifest's folder. A `CalibError` says ``where`` the row is, such as ``"fleet.csv, line 2"``.
+    """
     from calib.robot.xacro_file import is_xacro
     from calib.verbs.fleet.job import FleetRobot
 

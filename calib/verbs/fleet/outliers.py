@@ -96,7 +96,7 @@ class _Figure:
     logarithmic: bool
 
     def shown(self, value: float) -> float:
-        """Return the figure in its unit, from a compared value."""
+        """Return the figure in its unit, from a compared value, which may be its logarithm."""
         return float(np.exp(value)) if self.logarithmic else float(value)
 
 
@@ -216,7 +216,10 @@ def _unusual_figures(rows: Sequence[FleetRow], counted: Mask) -> Iterator[FleetO
 
 
 def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
-    """Return figures of errors and noise of n robots, by their logarithms, one for each kind of error and unit."""
+    """Return figures of errors and noise of n robots, by their logarithms, one for each kind of error and unit.
+
+    A robot without an error in a unit, or with 0, has NaN.
+    """
     no_std = np.zeros(len(rows))
     figures = []
     for symbol, unit in RESIDUAL_UNITS.items():
@@ -230,7 +233,10 @@ def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
 
 
 def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
-    """Return figures of the changes of parameters of n robots, one for each that any robot's measurements determine."""
+    """Return figures of the changes of parameters of n robots, one for each that any robot's measurements determine.
+
+    Robots whose measurements do not determine it have NaN.
+    """
     determined = []
     for row in rows:
         by_name = {p.name: p for p in row.parameters if not math.isnan(p.std)}

@@ -90,7 +90,7 @@ class RobotFolder:
         self._write_file(MADE, json_bytes(finished))
 
     def _listed_files(self) -> list[str]:
-        """Return the names of the files that an earlier fleet has written into the folder, finished or not."""
+        """Return the names of the files that an earlier fleet has written, finished or not; none without a list."""
         try:
             names = json.loads((self.path / MADE).read_bytes())["files"]
         except (OSError, ValueError, KeyError, TypeError):

@@ -98,8 +98,8 @@ def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         fleet: The content of ``fleet.json``.
 
     Returns:
-        Headings, and the cells of each robot, lengths in mm; of a large fleet only outliers and robots whose verdict
-        is not ``use``.
+        Headings, and the cells of each robot, lengths in mm; failed robots are left out, and of a large fleet all but
+        outliers and robots with another verdict than ``use``.
     """
     shown = [robot for robot in fleet["robots"] if not robot["message"]]
     if len(shown) > LISTED:
@@ -122,7 +122,10 @@ def fleet_cells(fleet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def _leading_size(by_unit: Mapping[str, float | None]) -> str:
-    """Format a figure in the first unit that was measured: lengths in mm without the unit; empty if there is none."""
+    """Format a figure, given by unit in SI or px, in the first unit that it has; empty if there is none.
+
+    Lengths are in mm without the unit, others with theirs.
+    """
     for symbol, unit in RESIDUAL_UNITS.items():
         value = by_unit.get(symbol)
         if value is not None:

@@ -67,6 +67,10 @@ def inspect(
             table. None: 200 poses over the joint limits, with a target or anchor that the cell does not give at a
             generic place.
 
+    Returns:
+        The model with its observability at the nominal robot, the number of poses, their source, and what was put at a
+        generic place.
+
     Raises:
         ArgumentError: Robot, cell or measurements are of another type.
         ModelError: An unknown model or parameter, or a kind of rows that poses alone do not make.
@@ -102,9 +106,10 @@ def inspect(
 
 
 def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tuple[str, ...]]:
-    """Make rows of perfect measurements at poses over the joint limits, and name what was put at a generic place.
+    """Make rows of perfect measurements at poses over the joint limits, with their frames and targets.
 
-    The rows are of the cell's kind, points by default.
+    The rows are of the cell's kind, points by default; raises `ModelError` for a kind that poses alone do not make.
+    Also names what was put at a generic place, of ``"target"`` and ``"anchor"``.
     """
     table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
     rows, setup = rows_and_setup(robot, table, cell)

@@ -127,7 +127,8 @@ def camera_images(
         carries_camera: Whether cameras are the targets, and boards the frames; else the other way round.
 
     Returns:
-        None if the cameras are unknown, or if no step is an image.
+        What the robot carries, what stands still with its pose in the base of each robot, and the corners of each
+        step's image; None if the cameras are unknown, or if no step is an image.
     """
     m = first.measurements
     begins = np.zeros(len(m), dtype=bool)
@@ -170,6 +171,9 @@ def frustum(camera: Camera, depth: float) -> Shape:
     Args:
         camera: The camera; if its intrinsics are unknown, it is drawn with a common lens.
         depth: Depth along the line of sight [m].
+
+    Returns:
+        The edges of the frustum and the body, in the camera's frame [m].
     """
     # Pixels around the image, from its upper left corner over the upper right one.
     low, right, lower = -0.5, camera.width - 0.5, camera.height - 0.5
@@ -195,7 +199,10 @@ def frustum(camera: Camera, depth: float) -> Shape:
 
 
 def _rays(camera: Camera, pixels: Array) -> Array:
-    """Return the directions in which a camera sees pixels (n, 2), as points at a depth of 1, shape (n, 3)."""
+    """Return the directions in which a camera sees pixels (n, 2), as points at a depth of 1 in it, shape (n, 3).
+
+    Unknown intrinsics are replaced by a common focal length.
+    """
     if camera.values is None:
         focal = np.full(2, _FOCAL * camera.width)
         middle = 0.5 * np.array([camera.width, camera.height]) - 0.5
@@ -214,7 +221,7 @@ def _rays(camera: Camera, pixels: Array) -> Array:
 def _board_shapes(e: Evaluation, boards: Sequence[str]) -> dict[str, Shape]:
     """Return the shape of each board in the images by its name: corners as designed, on a plate with a margin.
 
-    ``boards`` names the board of each row of the evaluation; the margin is one square.
+    ``boards`` names the board of each row of the evaluation; the margin is the least spacing of its corners along x.
     """
     points = e.measurements.board_points
     assert points is not None
@@ -231,7 +238,7 @@ def _board_shapes(e: Evaluation, boards: Sequence[str]) -> dict[str, Shape]:
             lines=np.zeros((0, 2, 3)),
             points=corners,
             edges=np.array([size[0], size[1], _THICKNESS]),
-            # z points into the board, which is below its corners.
+            # z points into the board, so the plate lies at +z, behind the corners.
             T_shape_body=translation([middle[0], middle[1], 0.6 * _THICKNESS]),
         )
     return shapes
@@ -267,17 +274,20 @@ def draw_cameras(
 
 
 def _draw_shape(node: meshcat.Visualizer, shape: Shape, colour: str) -> None:
-    """Draw a camera or a board below a node, its lines and the edges of its front in a colour, ``"#rrggbb"``."""
+    """Draw a camera or a board below a node, with its lines and the edges of its face of least z in a colour.
+
+    The colour is as ``"#rrggbb"``; the body is that of a board if the shape has points.
+    """
     is_board = len(shape.points) > 0
     material = mc.MeshPhongMaterial(color=_BOARD_COLOUR if is_board else _CAMERA_COLOUR)
     node["body"].set_object(mc.Box(shape.edges.tolist()), material)
     node["body"].set_transform(shape.T_shape_body)
-    # The front is the face of least z.
+    # The face of least z: the front of a board, on which its corners are, and the back of a camera.
     half = 0.5 * shape.edges
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     corners = np.column_stack([signs * half[:2], np.full(4, -half[2])]) + shape.T_shape_body[:3, 3]
-    front = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-    draw_lines(node["lines"], np.concatenate([shape.lines, front]), colour)
+    edges = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    draw_lines(node["lines"], np.concatenate([shape.lines, edges]), colour)
     if is_board:
         draw_cloud(node["corners"], shape.points, INK, _DOT * float(shape.edges.max()))
 
@@ -313,6 +323,10 @@ def displacement_factor(images: CameraImages, factors: tuple[int, ...]) -> int:
     Args:
         images: The images.
         factors: Those to choose from, in ascending order.
+
+    Returns:
+        One of the factors: with it the median displacement is at most a fixed fraction of the images' width; 1 if none
+        is that small.
     """
     lengths = np.concatenate([np.linalg.norm(i.residual[0], axis=1) for i in images.corners])
     typical = float(np.median(lengths))

@@ -185,6 +185,9 @@ def view_page(view: View, *, about: About | None = None) -> Page:
     Args:
         view: The content.
         about: Points, drawings and the tracker around the only robot; None for nothing.
+
+    Returns:
+        The page, with a warning for each shape of a URDF that is not drawn as it is there.
     """
     about = about or About()
     visuals: dict[str, Sequence[Visual]] = {}
@@ -285,7 +288,10 @@ def magnification(view: View, size: float) -> int:
 
 
 def _magnified_targets(view: View, factor: int) -> Array:
-    """Return the calibrated robot's targets that are not flagged, (M, 3) [m], with their displacement magnified."""
+    """Return the calibrated robot's targets at unflagged poses, (M, 3) [m], their displacement magnified by a factor.
+
+    Both robots stand at one base; M is 0 for one robot alone.
+    """
     if view.calibrated is None:
         return np.zeros((0, 3))
     # The bases are one above the other.
@@ -298,7 +304,8 @@ def _magnified_targets(view: View, factor: int) -> Array:
 def _labels(view: View, places: Arrangement, about: About) -> list[tuple[Array, str, str, str]]:
     """Return the labels in the scene: place (3,) [m], arrangement ``"side"`` or ``"over"``, name and description.
 
-    A robot alone has none, because the heading names it; its tracker has one.
+    Places count from the centre of the arrangement's camera. A robot alone has no label, because the heading names it;
+    its tracker has one.
     """
     if view.calibrated is None:
         if about.tracker is None:

@@ -132,10 +132,12 @@ def typical_step(errors: Array, fitted: Mask) -> int:
 
 
 def choose_steps(flagged: Mask, start: int) -> Integers:
-    """Return the ascending indices of the steps that are shown: all, or the first one, flagged ones, an even choice.
+    """Return the ascending indices, from 0, of the steps that are shown.
+
+    They are all up to `MOST_STEPS`, otherwise the one that is shown first, the first flagged ones, and an even choice.
 
     Args:
-        flagged: shape (N,), the flagged steps.
+        flagged: shape (N,), True for flagged steps.
         start: Index of the step that is shown first.
     """
     count = len(flagged)

@@ -109,7 +109,7 @@ class View:
     numbers: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse two robots with different joints, and fill in labels and kinds that were not given."""
+        """Refuse two robots with different joints (`ModelError`), and fill in labels and kinds that were not given."""
         nominal = self.nominal.joint_names
         if self.calibrated is not None and self.calibrated.joint_names != nominal:
             raise ModelError(
@@ -239,7 +239,7 @@ def view_of_result(
 
 
 def _with_verdict(view: View, c: Calibration) -> View:
-    """Return the view with the verdict of a result and its first reason."""
+    """Return the view with the verdict of a result and its first reason, or a note that it has no verdict."""
     if c.verdict is None:
         return replace(view, note="No verdict: the result was not cross-validated.")
     note = ""

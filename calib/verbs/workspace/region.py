@@ -105,7 +105,8 @@ class Region(Value):
             voxel: Edge of a voxel [m]; None: chosen by the points, see `Density.of`.
 
         Raises:
-            CalibError: No points, a share outside of that range, or too many voxels.
+            ArgumentError: Points or voxel are not numbers.
+            CalibError: No points, another shape, a share outside of that range, or too many voxels.
         """
         return Density.of(points, voxel).region(share)
 
@@ -175,6 +176,8 @@ class Density(Value):
             The counts, as they are and smoothed, on a grid that is centred on the box around the points.
 
         Raises:
+            ArgumentError: Points or voxel are not numbers.
+            ModelError: There are no points, or they have another shape or are not finite.
             CalibError: The grid would have more than `MOST_VOXELS` voxels.
         """
         samples = finite_numbers("points", points, (None, 3), _POSITIONS)
@@ -246,7 +249,10 @@ def _voxel_of(
     voxel: float,
     shape: tuple[int, ...],
 ) -> tuple[NDArray[np.intp], Mask]:
-    """Return the indices of each point's voxel, or the nearest one, (N, 3), and whether it lies in the grid (N,)."""
+    """Return the indices (N, 3) of the voxel that holds each point (N, 3) [m], and which points lie in the grid, (N,).
+
+    A point outside of the grid has the nearest voxel.
+    """
     place = (points - origin) / voxel
     last = np.array(shape)
     # Rounding must not put a point that made the grid outside of it.
@@ -279,7 +285,7 @@ def _count(points: Array, voxel: float) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Average the count of each voxel that holds samples with those of its neighbours that do; others are 0.
+    """Average the count (nx, ny, nz) of each voxel that holds samples with its neighbours that do; others are 0.
 
     The second grid is the number of voxels that each mean stands for, by its variance: (sum w)^2 / sum w^2.
     """
@@ -292,7 +298,7 @@ def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _spread(values: Array, weights: Array) -> Array:
-    """Convolve a grid of values along each axis with weights of a voxel and its two neighbours; outside they are 0."""
+    """Convolve values (nx, ny, nz) along each axis with weights (3,) of a voxel and its neighbours; 0 outside."""
     spread = values
     for axis in range(3):
         spread = ndimage.convolve1d(spread, weights, axis=axis, mode="constant")
@@ -302,7 +308,7 @@ def _spread(values: Array, weights: Array) -> Array:
 def _choose_voxel(points: Array) -> float:
     """Choose the smallest round edge [m] at which smoothed counts of points (N, 3) rest on enough samples on average.
 
-    If none is enough, it is the first one that is as long as the points' extent.
+    If none is enough, it is the first one that is as long as the points' extent; `_SPOT_VOXEL` if all points are one.
     """
     longest = float(np.ptp(points, axis=0).max())
     if longest < _SPOT:

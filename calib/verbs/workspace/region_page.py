@@ -50,6 +50,7 @@ def region_page(view: RegionView) -> Page:
     title, text = headings(view)
 
     def draw(scene: meshcat.Visualizer, size: float) -> list[LegendEntry]:
+        """Draw target, region and rows in a scene of a size [m], and return their entries of the legend."""
         node = scene["nominal"]["target"]
         node.set_object(mc.Sphere(_BALL * size), solid(NOMINAL))
         node.set_transform(translation(target))
@@ -75,7 +76,10 @@ def region_page(view: RegionView) -> Page:
 
 
 def _draw_voxels(scene: meshcat.Visualizer, view: RegionView, centres: Array) -> list[LegendEntry]:
-    """Draw the voxels of a region, whose centres in the base are (K, 3) [m], in bands by density, the densest first."""
+    """Draw the voxels of a region, whose centres in the base are (K, 3) [m], in bands by density, the densest first.
+
+    Of more than `_MOST_POINTS` a random choice is drawn. Returns the legend's entry of each band that has a voxel.
+    """
     share_of = view.density.share_of(centres)
     chosen = np.sort(np.random.default_rng(0).permutation(len(centres))[:_MOST_POINTS])
     centres = centres[chosen]

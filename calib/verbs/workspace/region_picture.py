@@ -78,7 +78,7 @@ def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False
 
 
 def draw_region(view: RegionView) -> Figure:
-    """Draw a region: views in the upper row, cuts through the mean of the samples below."""
+    """Draw a region: three views with the rows of a table above, cuts through the mean of the samples below."""
     density = view.density
     voxel, low = 1e3 * density.voxel, 1e3 * density.origin
     indices = np.indices(density.counts.shape).reshape(3, -1)
@@ -150,7 +150,10 @@ def _draw_panel(ax: Axes, values: Array, inside: Mask, low: Array, voxel: float)
 
 
 def _mark_rows(ax: Axes, view: RegionView, pair: tuple[int, int]) -> None:
-    """Mark the rows of a table in the plane of two axes: filled inside the region, hollow and numbered outside."""
+    """Mark the rows of a table in the plane of two axes: filled inside the region, hollow and numbered outside.
+
+    The axes are given as indices of x, y, z, the horizontal one first. Validation rows are always numbered.
+    """
     if view.checked is None:
         return
     rows = view.checked.rows

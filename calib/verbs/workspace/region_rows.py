@@ -62,6 +62,9 @@ def read_rows(
         columns: Names that calib uses by the table's names, or all that is said of the columns; None: nothing is.
         kind: Name of the kind of measurement of all rows, such as ``"point"``; None: as the table says, or joint values
             alone if it has no positions.
+
+    Raises:
+        MeasurementError: The table cannot be read, or lacks the column of a joint.
     """
     table = Table.read(path)
     named, _ = name_columns(table, robot.joint_names, columns)

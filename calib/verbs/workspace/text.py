@@ -74,7 +74,7 @@ def _extent(ends: Array) -> str:
 
 
 def _row_lines(view: RegionView, checked: Checked, *, every_row: bool) -> Iterator[str]:
-    """Count the rows inside the region, by set, and show a table of all of them if wanted."""
+    """Count the rows inside the region, by set, name those outside, and show a table of all of them if wanted."""
     rows, points, measured = checked
     inside = view.region.contains(points)
     yield f"Targets of {rows.source}, {sum(measured)} measured, {sum(~measured)} predicted:"

@@ -84,6 +84,10 @@ def workspace_points(
 
     Returns:
         Positions of the target in the base frame, shape (count, 3), [m], read-only.
+
+    Raises:
+        ArgumentError: An argument of another type.
+        CalibError: A target beyond any tool, ranges of another shape, a count below 1, or a seed below 0.
     """
     check_whole("count", count, 1)
     check_whole("seed", seed, 0)
