@@ -173,7 +173,12 @@ class CellOptions:
     @classmethod
     def of_typed(cls: type[Self], typed: Mapping[str, Any]) -> Self:
         """Make the options from the values typed for `parameters`, by name; those not given are left out."""
-        given = {name: value for name, value in typed.items() if value not in (None, False, [])}
+        # Zero is a value, though it equals False.
+        given = {
+            name: value
+            for name, value in typed.items()
+            if not (value is None or value is False or value == [])
+        }
         return cls(given.pop("cell", None), given)
 
     def cell(self) -> Cell:

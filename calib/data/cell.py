@@ -252,8 +252,7 @@ class Cell(Value):
     kind: str | None = key(
         "kind",
         text("the name of a kind of measurement"),
-        "What every row measures: `point`, `pose`, `distance`, `pair`, `fixed`, `plane`, `pixel`, or a registered "
-        "kind, see [data format](data-format.md).",
+        "What every row measures, as `--kind` and [data format](data-format.md) list it.",
         default=None,
         absent="as the table's columns say",
         option=Option(

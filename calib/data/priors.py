@@ -78,18 +78,6 @@ class Priors:
         return dict(self.given).get(family, family_of(family).prior)
 
 
-#: Description of an error of each of calib's own families, for the documentation.
-_MEANINGS = {
-    "length": "an error in length",
-    "angle": "an error in angle",
-    "zero": "the error of a joint's zero",
-    "gain": "the relative error of a gear ratio",
-    "eccentricity": "an encoder's once-per-turn error",
-    "compliance": "a joint's compliance",
-    "gravity": "the rotation of a joint per lever arm of an unknown mass",
-}
-
-
 def prior_keys() -> Sequence[Key]:
     """Return the keys of a cell file for priors, one for each registered family; their parts are those of `Priors`."""
     source = Option(
@@ -113,7 +101,7 @@ def prior_keys() -> Sequence[Key]:
     ]
     for name, family in FAMILIES.items():
         suffix, unit_in_si = family.unit.cell
-        meaning = _MEANINGS.get(name, f"an error of the family `{name}`")
+        meaning = family.meaning or f"an error of the family `{name}`"
         rows.append(
             Key(
                 f"prior_{name}{suffix}",

@@ -237,6 +237,8 @@ class Family(Value):
     positive: bool = False
     #: A sliding joint's typical error over that of a turning one.
     lever: float = 1.0
+    #: Description of one of its errors, for the documentation: ``"the relative error of a gear ratio"``.
+    meaning: str = ""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle a registered family by its name, which the reading process must have registered too."""
@@ -271,11 +273,26 @@ _COMPLIANCE = Factor("compliance", lambda state: state.load, slope=None, loaded=
 _GRAVITY = Factor("gravity", lambda state: state.lever, slope=None, loaded=True, later=True)
 
 _ROWS = (
-    Family(LENGTH, M, prior=3e-3, typical=0.3e-3),
-    Family(ANGLE, RAD, prior=15e-3, typical=3e-3),
-    Family(ZERO, RAD, prior=15e-3, typical=5e-3),
-    Family("gain", ONE, prior=1e-3, typical=0.5e-3, factors=(_GAIN,), sliding=M_PER_M),
-    Family("eccentricity", RAD, prior=1e-3, typical=0.5e-3, factors=(_SIN, _COS)),
+    Family(LENGTH, M, prior=3e-3, typical=0.3e-3, meaning="an error in length"),
+    Family(ANGLE, RAD, prior=15e-3, typical=3e-3, meaning="an error in angle"),
+    Family(ZERO, RAD, prior=15e-3, typical=5e-3, meaning="the error of a joint's zero"),
+    Family(
+        "gain",
+        ONE,
+        prior=1e-3,
+        typical=0.5e-3,
+        factors=(_GAIN,),
+        sliding=M_PER_M,
+        meaning="the relative error of a gear ratio",
+    ),
+    Family(
+        "eccentricity",
+        RAD,
+        prior=1e-3,
+        typical=0.5e-3,
+        factors=(_SIN, _COS),
+        meaning="an encoder's once-per-turn error",
+    ),
     Family(
         "compliance",
         RAD_PER_NM,
@@ -287,6 +304,7 @@ _ROWS = (
         bounds=(1e-11, 1e-2),
         positive=True,
         lever=0.1,
+        meaning="a joint's compliance",
     ),
     Family(
         "gravity",
@@ -296,6 +314,7 @@ _ROWS = (
         factors=(_GRAVITY,),
         every_joint=True,
         positive=True,
+        meaning="the rotation of a joint per lever arm of an unknown mass",
     ),
 )
 _REGISTRY: dict[str, Family] = {row.name: row for row in _ROWS}

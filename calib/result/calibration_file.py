@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeGuard
 
@@ -158,7 +158,12 @@ def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
     """Return printed boards from their list."""
     boards = {}
     for row in table:
-        arguments = {field.name: row[json_key(field)] for field in fields(Board)}
+        # A key that came later, with a default, is missing in older files.
+        arguments = {
+            field.name: row[json_key(field)]
+            for field in fields(Board)
+            if field.default is MISSING or json_key(field) in row
+        }
         boards[row["target"]] = Board(**arguments)
     return ReadOnlyMapping(boards)
 

@@ -191,6 +191,11 @@ def test_a_group_takes_the_options_of_its_groups_and_names():
     assert options.given == {"fix_target": True, "freeze": ["d2"], "priors": "off"}
 
 
+def test_zero_is_a_value_that_was_given():
+    typed = {"cell": None, "a": 0.0, "b": 0, "c": None, "d": False, "e": [], "f": True}
+    assert dict(CellOptions.of_typed(typed).given) == {"a": 0.0, "b": 0, "f": True}
+
+
 def test_two_options_of_one_link_must_agree():
     assert CellOptions(None, {"base": "a", "camera_on": "a"}).cell().base == "a"
     with pytest.raises(

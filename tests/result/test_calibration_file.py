@@ -419,6 +419,12 @@ def test_boards_are_read_back():
     table = as_json(_boards_table({"": board}))
     assert (table[0]["square_m"], table[0]["sigma_corner_m"]) == (0.02985, 3e-5)
     assert attributes(_read_boards(table)[""]) == attributes(board)
+    # Of a file that is older than a key, the default counts; a key without one must be there.
+    del table[0]["legacy"]
+    assert not _read_boards(table)[""].legacy
+    del table[0]["columns"]
+    with pytest.raises(KeyError):
+        _read_boards(table)
 
 
 def test_every_key_of_a_camera_is_in_both_files():
