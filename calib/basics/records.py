@@ -322,11 +322,13 @@ def toml_values(value: Any) -> dict[str, Any]:  # noqa: ANN401  any record
 
 
 def toml_lines(value: Any, *, without: Collection[str] = ()) -> list[str]:  # noqa: ANN401  any record
-    """Return a record as lines of TOML, each key under a comment that explains it.
+    """Return a record as lines of TOML, each key under a comment that explains it, its value in the unit of the file.
+
+    Fields that are None are left out, and so are fields that several keys give.
 
     Args:
         value: The record.
-        without: Keys that are left out.
+        without: Keys that are left out too.
     """
     helps = {row.name: row.help for _, row in keys_of(type(value))}
     lines = []
@@ -398,7 +400,11 @@ def _checked_field(
     what: str,
     or_none: str,
 ) -> Any:  # noqa: ANN401
-    """Check a field's value: return it as it is kept, a mapping read-only and a sequence as a tuple."""
+    """Check a field's value: return it as it is kept, a mapping read-only and a sequence as a tuple.
+
+    Raises `ArgumentError` for another type, and CalibError if a check refuses it. ``argument`` and ``what`` name the
+    field, and ``or_none`` ends the description of what is allowed, in messages.
+    """
     if written.check is not None:
         return _checked(given, what, written.check)
     if get_origin(kind) is Mapping:
@@ -433,7 +439,10 @@ def _check_class(
     written: _Written,
     allowed: str,
 ) -> None:
-    """Refuse a value of another class, if the type is a truth value, a text or a record."""
+    """Refuse a value of another class than ``kind`` by `ArgumentError`, if that is a truth value, a text or a record.
+
+    Values of other types pass. ``allowed`` is the message's text on what is allowed, with {} for the type in words.
+    """
     if kind in (bool, str) or dataclasses.is_dataclass(kind):
         classes = (bool, np.bool_) if kind is bool else kind
         check_type(argument, given, classes, allowed.format(_words(kind, written)))

@@ -286,8 +286,8 @@ def marker_outlines(board: Board) -> Array:
         board: The board.
 
     Returns:
-        shape (markers, 4, 2) [m], in the order of the ids, each clockwise from its top left as in OpenCV; a chessboard
-        has none.
+        x and y in the board's frame, shape (markers, 4, 2) [m], in the order of the ids, each clockwise from its top
+        left as in OpenCV; a chessboard has none.
     """
     if board.pattern == CHESSBOARD:
         return np.zeros((0, 4, 2))

@@ -264,7 +264,7 @@ def _ruler_length(room: float) -> float:
 
 
 def _ruler(length: float, *, inches: bool) -> Array:
-    """Return the lines of a ruler along x, its ticks downwards from y = 0, shape (n, 4) [m].
+    """Return x, y, width and height of the lines of a ruler along x, its ticks downwards from y = 0, shape (n, 4) [m].
 
     The length is that between the middles of the first and the last tick. Ticks of inches hang from a second line.
     """

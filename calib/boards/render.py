@@ -118,7 +118,10 @@ class _Sheet:
         return nearest / (focal_length * _SAMPLES)
 
     def place(self, pixels: Array, drawn: Texture) -> Array:
-        """Return column and row of pixels (n, 2) [px] in the texture: along the ray, to the surface, to the pattern."""
+        """Return the column and row in a texture that pixels (n, 2) [px] of the picture show, shape (n, 2) [px].
+
+        Each pixel's ray is followed to the surface and from there to the pattern; one that misses is far outside.
+        """
         directions_in_camera = rays(self.camera, pixels)
         T_board_camera = rigid_inverse(self.T_camera_board)
         directions = directions_in_camera @ T_board_camera[:3, :3].T

@@ -219,10 +219,10 @@ def initial_intrinsics(camera: Camera, views: Sequence[View]) -> Array:
 
     Args:
         camera: Its size and lens model.
-        views: Of flat boards.
+        views: Views of flat boards; those with too few corners are left out.
 
     Returns:
-        shape (m,), in the order of the lens's names.
+        shape (m,), in the order of the lens's names: [px], and coefficients of distortion.
 
     Raises:
         MeasurementError: No view has enough corners.
@@ -260,7 +260,11 @@ def initial_intrinsics(camera: Camera, views: Sequence[View]) -> Array:
 
 
 def _closed_form(camera: Camera, views: Sequence[View]) -> Array | None:
-    """Return intrinsics (m,) [px, 1] whose focal lengths solve the equations above; None if undetermined."""
+    """Return intrinsics (m,) [px, 1] whose focal lengths solve the equations at the head of this module.
+
+    The centre is the image's middle, and there is no distortion. None if the focal lengths are not determined, or are
+    implausible.
+    """
     middle = np.array([camera.width - 1, camera.height - 1]) / 2.0
     equations = []  # factors of 1 / fx^2, of 1 / fy^2, and of 1
     for points, pixels in views:

@@ -119,7 +119,8 @@ def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, 
         first: The name of work before the first stage, whose amount is not known: its bar moves to and fro.
 
     Yields:
-        A function of the stage's name, the work done and all of its work; None if stderr is not a terminal.
+        A function of the stage's name, the work done and all of its work; None if ``quiet``, or if stderr is not a
+        terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield None
@@ -154,7 +155,7 @@ def progress_bar(
         first: The name of what comes before it, whose amount is not known.
 
     Yields:
-        A function of the work done and all of the work; None if stderr is not a terminal.
+        A function of the work done and all of the work; None if ``quiet``, or if stderr is not a terminal.
     """
     with stages_bar(quiet=quiet, first=first) as advance:
         yield None if advance is None else partial(advance, label)

@@ -96,7 +96,7 @@ class Verb(TyperCommand):
 def verb(
     help_text: str, registered: Mapping[str, Names] = NONE
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a verb of the command line of a function.
+    """Make a verb of the command line from a function.
 
     A parameter whose type is a dataclass is a group: its fields become options, or those of its method ``parameters``
     (`calib.cli.options.CellOptions`), and the function gets the group. Every verb has ``--plugin`` and ``--debug``
@@ -104,7 +104,8 @@ def verb(
 
     Args:
         help_text: The text of ``--help``.
-        registered: What a placeholder in the help of this verb's options stands for, besides those of every verb.
+        registered: By placeholder in the help of this verb's options, such as ``"{formats}"``, the function that gives
+            the names it stands for; those that every verb may use need not be given.
 
     Returns:
         A decorator; what it returns has the signature from which typer makes the options.

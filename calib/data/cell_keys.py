@@ -131,7 +131,7 @@ _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def _quantities_of(parameter: str) -> tuple[str, ...]:
-    """Return the quantities that a parameter may be of, by its name; all if none is known."""
+    """Return the quantities, such as `LENGTH`, that a parameter may be of, by its name; all if the name is unknown."""
     for pattern, quantities in _PARAMETERS:
         if re.fullmatch(pattern, parameter):
             return quantities
@@ -145,7 +145,7 @@ def _quantities_of(parameter: str) -> tuple[str, ...]:
 
 
 def _read_change(value: Any, place: Place) -> float:  # noqa: ANN401
-    """Read a change, in SI units, of the parameter whose name is that of the place."""
+    """Read a change, in SI units, of the parameter whose name is that of the place; CalibError for a wrong unit."""
     allowed = _quantities_of(place.name)
     examples = " or ".join(_EXAMPLES[quantity] for quantity in allowed)
     try:
@@ -228,7 +228,10 @@ _IMAGE_SIZE = re.compile(r"(\d{2,5})\s*x\s*(\d{2,5})")
 
 
 def _parse_cameras(typed: Iterable[str], flag: str) -> dict[str, Camera]:
-    """Return the cameras of ``[NAME=]FILE`` or ``[NAME=]WIDTHxHEIGHT``, by name."""
+    """Return the cameras of ``[NAME=]FILE`` or ``[NAME=]WIDTHxHEIGHT`` (then without intrinsics), by name or ``""``.
+
+    CalibError for a name that is given twice, or a fault of a file.
+    """
     result: dict[str, Camera] = {}
     for name, file in _named_files(typed, flag).items():
         size = _IMAGE_SIZE.fullmatch(file)

@@ -147,6 +147,8 @@ def _owners(
 ) -> list[_Owner]:
     """Group the stations that occur, by their numbers, by their camera, or targets by their board.
 
+    ``place_by_name`` has all stations or targets with their places in the error model, in the order of their numbers,
+    and ``described`` the cameras or boards of the cell.
     One that is described without a name is that of all that have none of their own: a camera that was moved to several
     stations, or a board that was moved to several places.
     """
@@ -184,7 +186,10 @@ def number_corners(measurements: Measurements) -> tuple[tuple[str, ...], Integer
 
 
 def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse corners outside of the images of a camera's rows, (N,), and intrinsics that are of another resolution."""
+    """Refuse corners outside of the images in a camera's rows, a mask (N,), and intrinsics of another resolution.
+
+    Raises MeasurementError.
+    """
     source = measurements.source or "Measurements"
     size = np.array([camera.width, camera.height])
     beyond = np.maximum(-images.pixels, images.pixels - size)
@@ -209,7 +214,10 @@ def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measu
 
 
 def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse a table whose corners, in the rows of a board, (N,), lie further apart, or nearer, by one factor."""
+    """Refuse corners, in a board's rows, a mask (N,), that are further apart or nearer than described, by one factor.
+
+    Raises MeasurementError. Names that are not numbers of the board's corners are not checked.
+    """
     names = [images.corners[k] for k in images.corner[rows].tolist()]
     if not all(name.isdecimal() and int(name) < len(board.corners) for name in names):
         return  # the names are not those of calib: they may be of other places
@@ -282,7 +290,11 @@ def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None)
 def _board_unknowns(
     board: Board, images: _Images, rows: Mask, owner: _Owner
 ) -> list[InternalUnknown]:
-    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places."""
+    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places.
+
+    What the board states to be exact, by a standard deviation of 0, is left out, and so is the place of a corner that
+    too few images show.
+    """
     result = []
     for k, axis in enumerate("xy"):
         if board.sigma_scale > 0.0:

@@ -118,7 +118,10 @@ def prior_std_by_reml(
 
 
 def _scoring_step(score: Array, information: Array, at_bound: Mask) -> Array:
-    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True."""
+    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True.
+
+    ``score`` (B, C + K) and ``information`` (B, C + K, C + K), as of `score_and_information`, are changed in place.
+    """
     score[at_bound] = 0.0
     pivots = diagonals(information)
     pivots += _DAMPING * pivots + _LEAST_DAMPING

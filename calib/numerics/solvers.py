@@ -292,7 +292,8 @@ def register(name: str, solver: Solver) -> None:
 
     Args:
         name: Its name, which no other solver has.
-        solver: A function like those of `SOLVERS`.
+        solver: The function: of a system, a start, the change of each parameter that is one unit of a step's length,
+            and the length of a step that has converged; see `levenberg_marquardt`.
 
     Raises:
         SolverError: The name is taken.

@@ -142,7 +142,10 @@ def _limits_of(joint: UrdfJoint) -> tuple[float, float]:
 
 
 def _range_of(joint: UrdfJoint) -> tuple[float, float]:
-    """Return the part of a joint's limits within one turn or metre of zero, or their end that is nearer to zero."""
+    """Return the part of a joint's limits within half a turn [rad] or a metre [m] of zero, low and high.
+
+    If there is no such part, both are the limit that is nearer to zero.
+    """
     bound = _UNLIMITED_SLIDE if joint.type == "prismatic" else np.pi
     lower, upper = _limits_of(joint)
     low = min(max(-bound, lower), upper)

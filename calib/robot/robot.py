@@ -412,7 +412,7 @@ class Robot(Value):
         return result
 
     def readings(self, values: ArrayLike) -> Array:
-        """Return the readings q = C^-1 theta at values of ``inputs``, the inverse of `input_values`, shape (N, m).
+        """Return the readings q = C^-1 theta at values of ``inputs``, shape (N, m), [rad] or [m]; see `input_values`.
 
         Args:
             values: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.

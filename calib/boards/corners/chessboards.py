@@ -73,7 +73,8 @@ def find_inner_corners(
         pixels: Their pixels, shape (m, 2).
 
     Returns:
-        The corners in the order of their ids, those that agree with the others; and the map fitted to them.
+        All inner corners in the order of their ids, NaN for those that were not found or do not agree with the others;
+        and the map fitted to those found.
     """
     corners = board.corners[:, :2]
     signs = corner_signs(board)
@@ -126,7 +127,10 @@ def windows_at(board: Board, planar_map: PlanarMap, points: Array) -> Array:
 
 
 def window_size(board: Board) -> float:
-    """Return the width of the window around a corner on the board [m]: it holds no marker, or both alike."""
+    """Return the width of the window around a corner on the board [m].
+
+    On a ChArUco board it is narrow enough to keep clear of the markers, unless there is hardly any white around them.
+    """
     largest = _WINDOW * board.square
     if board.pattern != CHARUCO:
         return largest

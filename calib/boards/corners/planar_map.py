@@ -148,8 +148,9 @@ def _distort(undistorted: Array, distortion: float) -> Array:
 def _homography(points: Array, image: Array, root_weights: Array) -> Array:
     """Return the homography H (3, 3) of least weighted algebraic error from points (n, 2) to images (n, 2).
 
-    Its sign gives the points' middle a positive depth. Both sides are first moved and scaled to mean 0 and size 1
-    (Hartley 1997, "In defense of the eight-point algorithm").
+    ``root_weights`` are the square roots of the points' weights, shape (n,). The sign of H gives the points' middle a
+    positive depth. Both sides are first moved and scaled to mean 0 and size 1 (Hartley 1997, "In defense of the
+    eight-point algorithm").
     """
     from_points = _normalisation(points)
     from_image = _normalisation(image)

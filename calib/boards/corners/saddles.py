@@ -139,7 +139,7 @@ def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) ->
         signs: 1 if the square towards +x, +y is white, -1 if it is black, shape (n,).
 
     Returns:
-        The saddles: those that converge near the place expected, surrounded by the colours of four squares.
+        n saddles, each near the place expected and surrounded by the colours of four squares; NaN if there is none.
     """
     pixels = np.full((len(expected), 2), np.nan)
     sigma = np.full(len(expected), np.nan)

@@ -68,7 +68,7 @@ def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
         quadrilaterals: Corners of each tag, clockwise, to a pixel or two, shape (m, 4, 2) [px].
 
     Returns:
-        The corners, tag after tag: 4 m of them.
+        The corners, tag after tag: 4 m of them; NaN for all four of a tag if one of its edges is not found.
     """
     pixels = np.full((4 * len(quadrilaterals), 2), np.nan)
     sigma = np.full(4 * len(quadrilaterals), np.nan)
@@ -103,7 +103,7 @@ def _corner(image: Array, corners: Array, j: int) -> tuple[Array, float] | None:
 
 
 def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | None:
-    """Fit a line to the half of an edge next to ``corner`` (2,) [px]; None if too little of it is seen.
+    """Fit a line to the half next to ``corner`` (2,) of an edge from there to ``other`` (2,) [px]; None if hardly seen.
 
     ``inside`` is 1 if the tag is on the left when the image is walked from the corner to the other end, otherwise -1.
     """
