@@ -140,8 +140,8 @@ def key(
         default_factory: Makes the default.
         absent: What counts without the key, in words; empty: the default, as a file has it.
         option: The option, or options, that give the field too.
-        check: Check of the value in memory, in place of that of its type.
-        each: Check of each entry of a mapping or a tuple in memory.
+        check: Check of the value in memory, in place of that of its type; None: that of its type.
+        each: Check of each entry of a mapping or a tuple in memory; None: that of its type alone.
         json: Key of the value in SI units in result files; empty: the name of the field.
     """
     options = (option,) if isinstance(option, Option) else tuple(option)
@@ -165,7 +165,7 @@ def keys(
         join: Makes the value, from the values of the keys that are there, by their parts.
         default: Default in memory, and so on as of `key`.
         default_factory: Makes the default.
-        check: Check of the value in memory.
+        check: Check of the value in memory; None: that of its type.
     """
     metadata = {_METADATA: _Written(make, join, check)}
     return dataclasses.field(default=default, default_factory=default_factory, metadata=metadata)
@@ -247,7 +247,7 @@ def read_values(
 def read_parts(
     rows: Iterable[Key], table: Mapping[str, Any], place: Place | None = None
 ) -> dict[str, Any]:
-    """Read the values of keys from a table, by their parts; see `read_values`."""
+    """Read the values of keys from a table in SI units, by the keys' parts; CalibError as of `read_values`."""
     return _read_rows([(row.part, row) for row in rows], table, place or Place())
 
 

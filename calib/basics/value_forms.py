@@ -102,12 +102,12 @@ def form(
     write: Callable[[Any], Any] = same,
     meaning: str = "",
 ) -> Form:
-    """Return the form of values that ``convert`` gives, or refuses as that of `checked` does."""
+    """Return a `Form` whose values ``convert`` reads, or refuses as that of `checked` does, and ``write`` writes."""
     return Form(words, lambda value, place: checked(value, place, words, convert), write, meaning)
 
 
 def of_type(kind: type, words: str, meaning: str = "") -> Form:
-    """Return the form of values that are the same in the file and in memory."""
+    """Return the form of values of a type that are the same in the file and in memory; True is not a number."""
 
     def convert(value: Any) -> Any:  # noqa: ANN401
         is_truth = isinstance(value, bool) and kind is not bool

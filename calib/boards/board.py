@@ -184,7 +184,7 @@ class Board:
     )
 
     def __post_init__(self) -> None:
-        """Check the pattern and its sizes."""
+        """Check pattern, counts, lengths, markers and standard deviations; raises `CalibError`."""
         if self.pattern not in PATTERNS:
             raise CalibError(
                 f"The board '{self.name}' has the pattern '{self.pattern}'; allowed are "

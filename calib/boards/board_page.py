@@ -218,6 +218,9 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
 
     Returns:
         The page.
+
+    Raises:
+        CalibError: OpenCV, which has the markers, is not installed.
     """
     pattern = black_rectangles(board)
     pattern[:, :2] += sheet.origin

@@ -181,7 +181,7 @@ def _members(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401  a dataclas
 def reporting(*, debug: bool) -> Iterator[None]:
     """Report an error of the block as one line on stderr, and end the program with its exit status.
 
-    The text of a `KeyboardInterrupt` says what is kept of the work.
+    The text of a `KeyboardInterrupt` says what is kept of the work. An `OSError` passes: the program reports it.
 
     Args:
         debug: Whether the traceback is printed before the line.

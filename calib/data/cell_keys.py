@@ -219,7 +219,7 @@ def described_keys(
 def by_name(
     single: _Described | None = None, several: Mapping[str, _Described] | None = None
 ) -> dict[str, _Described]:
-    """Return cameras or boards by their names in the cell; ``""`` for the one without a name."""
+    """Return cameras or boards by their names in the cell; ``""`` for the ``single`` one without a name; None: none."""
     return {**({} if single is None else {"": single}), **(several or {})}
 
 

@@ -88,7 +88,7 @@ class SightLimits(Value):
     share: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse limits within which no board can be."""
+        """Refuse limits within which no board can be; raises `CalibError`."""
         nearest, farthest = self.distances or (1.0, 2.0)
         if not 0.0 < nearest < farthest < np.inf:
             raise CalibError(
@@ -133,7 +133,7 @@ class CameraInstrument(Instrument):
     assumed: tuple[tuple[Assumption, tuple[float, ...]], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse limits that the board's pattern does not allow."""
+        """Refuse limits that the board's pattern does not allow; raises `CalibError`."""
         if self.board.pattern == CHESSBOARD and self.limits.share < 1.0:
             raise CalibError(
                 f"The board '{self.board.name}' is a plain chessboard, of which all corners must be in the image; "

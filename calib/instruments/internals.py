@@ -271,7 +271,7 @@ def _camera_numbers(
 def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None) -> None:
     """Set the corners of a board's rows, (N,), as designed, in ``values``, (N, `optics.COUNT`).
 
-    The extent of a board of which nothing is given is that of the corners seen.
+    The extent of a board of which nothing is given (None) is that of the corners seen.
     """
     points = images.points[rows]
     least = points.min(axis=0)
@@ -319,7 +319,7 @@ def _parameter(
 ) -> Parameter:
     """Return the parameter of a number of a camera or board: ``"fx[left]"``.
 
-    It adds to a column of `calib.camera.optics`, at one corner, by its number, or at all.
+    It adds to a column of `calib.camera.optics`, at one corner, by its number, or at all (None).
     """
     samples = [(optics.CAMERA if family == CAMERA else optics.BOARD, owner.number)]
     if corner is not None:

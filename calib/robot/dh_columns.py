@@ -235,8 +235,8 @@ def _name_of(heading: str) -> tuple[str, bool]:
 def _find_convention(columns: DHColumns, of_row_before: set[str], stated: str | None) -> str:
     """Return the convention that headings, the column ``convention`` and a comment state; standard if none does.
 
-    ``of_row_before`` are the columns whose headings have the index i - 1. MeasurementError if two are stated, or a word
-    is not a convention.
+    ``of_row_before`` are the columns whose headings have the index i - 1, ``stated`` is the comment's word, or None.
+    MeasurementError if two are stated, or a word is not a convention.
     """
     table = columns.table
     by_headings = None

@@ -119,6 +119,7 @@ def sobol(count: int, columns: int) -> Array:
 def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:
     """Return bounds (m, 2), [rad] or [m], of ``robot.inputs``, which also keep joints that mimic them within theirs.
 
+    ``bounds_of`` gives the lower and the upper bound of one joint.
     A joint whose bounds would leave nothing is not considered.
     """
     bounds = np.array([bounds_of(joint) for joint in robot.inputs])

@@ -68,7 +68,7 @@ def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
         quadrilaterals: Corners of each tag, clockwise, to a pixel or two, shape (m, 4, 2) [px].
 
     Returns:
-        The corners, tag after tag: 4 m of them; NaN for all four of a tag if one of its edges is not found.
+        The corners, tag after tag: 4 m of them; NaN for all four of a tag if an edge is not found from those given.
     """
     pixels = np.full((4 * len(quadrilaterals), 2), np.nan)
     sigma = np.full(4 * len(quadrilaterals), np.nan)
