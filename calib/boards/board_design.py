@@ -87,6 +87,7 @@ def design(
         sizes_of_paper(paper)  # refuses an unknown paper
 
     def make(columns: int, rows: int, square: float) -> Board:
+        """Return the board with these counts and this side of a square [m], what else is not given chosen."""
         # The first dictionary of the pattern that is large enough, or the largest.
         names = _DICTIONARIES[pattern]
         count = columns * rows // 2 if pattern == CHARUCO else columns * rows

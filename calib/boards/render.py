@@ -220,7 +220,7 @@ def write_png(image: Image, path: str | os.PathLike[str], *, overwrite: bool = F
 
 
 def _draw_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> NDArray[np.float32]:
-    """Return grey values (height, width) of a picture with the sheet drawn in front of it, without light and noise."""
+    """Return a picture, grey values (height, width), with the sheet drawn in front of it, without light and noise."""
     window = sheet.window()
     if window is None:
         return picture

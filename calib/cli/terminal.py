@@ -134,6 +134,7 @@ def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, 
             tasks[first] = bar.add_task(first, total=None)
 
         def advance(stage: str, done: int, total: int) -> None:
+            """Show how much of a stage is done, in a bar that its first call adds."""
             if first in tasks:
                 bar.remove_task(tasks.pop(first))
             if stage not in tasks:

@@ -112,6 +112,7 @@ def verb(
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        """Return the verb that calls a function, with the options of its groups as keyword parameters."""
         # `get_type_hints` of Python 3.10 would wrap the type of what defaults to None, which typer does not read.
         parameters = inspect.signature(function, eval_str=True).parameters.values()
         options: list[inspect.Parameter] = []

@@ -200,6 +200,7 @@ def described_keys(
         return read(TABLE.read(value, place), place.heading, place.folder)
 
     def read_several(value: Any, place: Place) -> dict[str, _Described]:  # noqa: ANN401
+        """Return the cameras or boards of tables by their names in the cell; CalibError for one without a name."""
         result = {}
         for name, given in TABLE.read(value, place).items():
             if not name:

@@ -360,7 +360,7 @@ class CameraInstrument(Instrument):
         """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); zero if no corner is seen.
 
         k rows stand for the corners of an image: 6 motions of the board, and the numbers of lens and print that
-        ``model`` estimates.
+        ``model`` estimates. The board is the one target: its poses are (n, 1, 4, 4) [m], its twists (n, 1, 6, p).
         """
         own = [(number, parameter.internal) for number, parameter in model.internals]
         numbers = [number for number, _ in own]

@@ -241,7 +241,11 @@ def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Meas
 def _camera_numbers(
     camera: Camera, images: _Images, rows: Mask, owner: _Owner
 ) -> tuple[Array, list[InternalUnknown]]:
-    """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens."""
+    """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens.
+
+    ``rows`` is the mask (N,) of the camera's rows. Unknown intrinsics start at values that fit the images, or raise
+    MeasurementError; what is exact is not an unknown.
+    """
     lens = LENSES[camera.lens]
     widest = np.array([_WIDE[unit] for unit in lens.units])
     start = camera.values
@@ -290,7 +294,7 @@ def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None)
 def _board_unknowns(
     board: Board, images: _Images, rows: Mask, owner: _Owner
 ) -> list[InternalUnknown]:
-    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places.
+    """Return the unknowns of a board, seen in a mask (N,) of rows: scale and flatness of the print, corners' places.
 
     What the board states to be exact, by a standard deviation of 0, is left out, and so is the place of a corner that
     too few images show.

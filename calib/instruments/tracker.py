@@ -148,6 +148,8 @@ class TrackerInstrument(Instrument):
     ) -> Array:
         """Differentiate what is measured of k targets at a stop, D scalars each, shape (n, k D, p); target by target.
 
+        The targets' poses are (n, k, 4, 4) [m], their twists (n, k, 6, p), the noise of a coordinate (n,) [m].
+
         With the noise s of a coordinate, the repeatability r of the robot is a part of s that all k targets of one stop
         share. The mean of their coordinates then has the variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2: the mean
         over targets of the derivative is scaled accordingly. Differences between targets are more exact than s; a fit,

@@ -188,7 +188,8 @@ def score_and_information(
 def _information_of_noise(HC: Array, traces: Array, count: Array) -> Array:
     """Return the expected information of log noise, shape (B, C, C), by H_c C / sigma_c^2, shape (B, C, p, p).
 
-    It is 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal.
+    It is 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal, with the
+    ``traces`` tr(H_c C) / sigma_c^2 and the ``count`` N_c, shape (B, C) each.
     """
     B, C, p, _ = HC.shape
     flat = HC.reshape(B, C, p * p)

@@ -71,7 +71,7 @@ class _Moments(NamedTuple):
 
     @classmethod
     def of(cls, e: Array, w: Array, pose: Integers) -> _Moments:
-        """Sum over poses the residuals e (N, D), 0 where the weights w are; ``pose`` (N,) counts from 0."""
+        """Sum over poses the residuals e (N, D) with weights w (N, D), 0 where nothing counts; ``pose`` (N,) from 0."""
         sum_w = _sum_by_pose(pose, w)
         sum_w2 = _sum_by_pose(pose, w**2)
         measured = sum_w > 0.0

@@ -146,6 +146,7 @@ def twists(
     angular = inner[:, 1].reshape(3 * (n + 1), p).T
 
     def work(block: slice) -> None:
+        """Fill in the poses and the Jacobian of a block of samples."""
         frames = _frames(geometry, steps, samples, block)
         T_frame_target[block, :3] = frames[-1].transpose(2, 1, 0)
         B = frames.shape[3]

@@ -139,7 +139,7 @@ def window_size(board: Board) -> float:
 
 
 def _smallest_squares(board: Board, planar_map: PlanarMap, corners: Array) -> Array:
-    """Return the width of a square at each corner where it is narrowest, shape (n,) [px]; 0 behind the camera."""
+    """Return how wide a square at each of the corners (n, 2) [m] is where narrowest, (n,) [px]; 0 behind the camera."""
     jacobians = planar_map.jacobians(corners, _STEP * board.square)
     known = np.nan_to_num(jacobians, nan=0.0)
     return np.asarray(board.square * np.linalg.svd(known, compute_uv=False)[:, 1])
