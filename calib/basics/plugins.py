@@ -266,7 +266,8 @@ def _restore(before: Mapping[str, Mapping[str, Any]], count: int) -> None:
 def _import_plugin(given: str, source: str) -> str:
     """Import a plugin, and return the SHA-256 of its source code; of a package, of all its Python files.
 
-    Raises `PluginError`, with the name ``given`` in its message, for whatever fails.
+    ``source`` is the absolute path of a ``.py`` file or the name of a module, ``given`` is the name for messages.
+    Raises `PluginError` for whatever fails.
     """
     is_file = source.endswith(".py")
     if is_file:

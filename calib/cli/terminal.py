@@ -59,7 +59,7 @@ def say(text: str) -> None:
 
 
 def styled(text: str) -> Iterator[tuple[str, str]]:
-    r"""Yield the lines of a text, each with its style on a terminal; ``""`` for none.
+    r"""Yield the lines of a text, control characters as escapes, each with its style of rich; ``""`` for none.
 
     Example:
         >>> list(styled("Verdict: use\n  It is better."))

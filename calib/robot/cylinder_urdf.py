@@ -278,8 +278,9 @@ def _limits(row: DHRow) -> tuple[float, float] | None:
 def _origins_and_corners(table: DHTable) -> tuple[list[Array], list[Array]]:
     """Return the origins of the n joints and the tip, n + 1 poses (4, 4), and the end points (3,) of their X_i, [m].
 
-    Both are in the frame of the joint before. If a row is too long to be drawn, the frames are moved along their axes
-    to where each is nearest to the one before it, and the end points are zeros.
+    Both are in the frame of the joint before. X_i is the part of the rows along and about x (y) before joint i. If a
+    row is too long to be drawn, the frames are moved along their axes to where each is nearest to the one before it,
+    and the end points are zeros.
     """
     before = [screw(0, row.alpha, row.a) @ screw(1, row.beta, 0.0) for row in table.rows]  # X_i
     last = np.eye(4)

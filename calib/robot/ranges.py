@@ -201,7 +201,7 @@ def joint_ranges(
         margin: Added at both ends of ``like`` [rad or m], not beyond a limit; one number, or one for each joint.
 
     Returns:
-        Shape (m, 2), [rad] or [m], read-only.
+        Least and largest value of each of ``robot.inputs``, not of its reading, shape (m, 2), [rad] or [m], read-only.
 
     Raises:
         CalibError: The chain has no such joint, or the range is empty, exceeds the limits, or has the wrong unit.

@@ -213,7 +213,7 @@ def _numbers(
     key: str,
     default: tuple[float, ...],
 ) -> tuple[float, ...]:
-    """Return the finite numbers of ``<tag key="...">`` of a joint, as many as the default, which are those if missing.
+    """Return the finite numbers of ``<tag key="...">`` of a joint, as many as the default has; that if it is missing.
 
     UrdfError if anything else is written.
     """

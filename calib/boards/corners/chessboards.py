@@ -239,7 +239,7 @@ def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool
 
 
 def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8-bit
-    """Return columns and rows of whatever chessboard an image shows, the larger number first; None if there is none."""
+    """Return how many squares the chessboard that an image shows has along its sides, the larger first; None: none."""
     cv2 = opencv()
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     is_seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
