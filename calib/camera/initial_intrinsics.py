@@ -72,7 +72,10 @@ class _Normal:
     motion_side: Array
 
     def step(self, damping: float) -> tuple[Array, Array]:
-        """Return the damped Gauss-Newton step: of the intrinsics, shape (m,), and of the motions, shape (V, 6)."""
+        """Return the damped Gauss-Newton step: of the intrinsics, shape (m,), and of the motions, shape (V, 6).
+
+        The diagonals of the normal equations grow by ``damping`` times themselves.
+        """
         diagonal = np.diagonal(self.motion, axis1=1, axis2=2)
         least = _LEAST_DAMPING * np.sum(diagonal, axis=1, keepdims=True) + np.finfo(float).tiny
         motion = self.motion + (damping * diagonal + least)[:, :, None] * np.eye(6)

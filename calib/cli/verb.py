@@ -161,7 +161,7 @@ class _OfEveryVerb:
 
 
 def _members(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401  a dataclass
-    """Return the options of a group as keyword parameters."""
+    """Return the options of a group as keyword parameters: those of its method ``parameters``, or else its fields."""
     if hasattr(group, "parameters"):
         members: list[inspect.Parameter] = group.parameters()
         return members

@@ -158,7 +158,10 @@ def _read_change(value: Any, place: Place) -> float:  # noqa: ANN401
 
 
 def _read_bounds(value: Any, place: Place) -> tuple[float, ...]:  # noqa: ANN401
-    """Read the least and the largest change of a parameter; one value stands for both signs."""
+    """Read the least and the largest change of a parameter, in SI units, from a list or one value for both signs.
+
+    CalibError for a wrong unit; how many there are is checked in memory.
+    """
     if isinstance(value, list):
         return tuple(_read_change(bound, place) for bound in value)
     largest = _read_change(value, place)

@@ -238,10 +238,10 @@ def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int
 
 
 def _check_no_thousands(table: Table, x: int) -> None:
-    """Refuse numbers that a comma between their thousands, 1,992.4945, seems to have parted into two cells.
+    """Refuse, by MeasurementError, numbers that a comma between their thousands seems to have parted into two cells.
 
-    Raises MeasurementError.
-    That is so if some lines have more numbers than others, counted from the column of x, or if each has such a number.
+    So it seems if some lines have more numbers than others, counted from the column x on, or if each has a number such
+    as 1,992.4945.
     """
     counts, parted, parted_decimals = [], [], []
     for row in table.cells:

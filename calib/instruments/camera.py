@@ -205,7 +205,7 @@ class CameraInstrument(Instrument):
     # Which poses of the board it sees
 
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
-        """Yield that the board is in focus, that its front is seen, and that enough of it is in the image."""
+        """Yield the conditions that the board is in focus, that its front is seen, and enough of it is in the image."""
         for sightline in sightlines:
             for reason, passes in (
                 ("focus", self.in_focus),

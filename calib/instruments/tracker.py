@@ -103,7 +103,7 @@ class TrackerInstrument(Instrument):
         return self.kind.position
 
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
-        """Yield that the targets are in range, and the instrument in the cones of their reflectors."""
+        """Yield the conditions that the targets are in range, and the instrument in the cones of their reflectors."""
         for sightline in sightlines:
             yield Condition("tracker_range", partial(self.in_range, sightline))
         if self.reflector is not None:
