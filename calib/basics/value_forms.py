@@ -174,7 +174,7 @@ def shift_decimal(value: float, places: int) -> float:
 
 
 def decimal(unit: str, places: int) -> Form:
-    """Return the form of a number in a unit that is this power of ten of SI; it keeps its digits there and back."""
+    """Return the form of a number in a unit that is ten to the power ``places`` of SI; it keeps its decimal digits."""
 
     def read(value: Any) -> float | None:  # noqa: ANN401
         return shift_decimal(value, places) if is_number(value) else None

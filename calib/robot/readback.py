@@ -26,7 +26,7 @@ def check_written(robot: Robot, expected: Array, q: Array) -> None:
     Args:
         robot: The robot with the URDF that is to be written.
         expected: Shape (N, 4, 4), [m], T_base_tip by the model in memory.
-        q: Shape (N, m), the joint values of these poses, [rad] or [m], in the order of ``robot.joint_names``.
+        q: Shape (N, m), the joint readings of these poses, [rad] or [m], in the order of ``robot.joint_names``.
 
     Raises:
         UrdfError: A reader disagrees by more than `TOLERANCE`, or cannot read the URDF at all.

@@ -185,7 +185,7 @@ def _fault(
     text: str,
     part: Element | None = None,
 ) -> UrdfError:
-    """Return an error about a joint, with the line of one of its parts, or of the joint itself."""
+    """Return an error about a joint, with the line of one of its parts, or of the joint itself if that is None."""
     return document.at(part or element, f"joint '{element.attributes['name']}'{text}")
 
 
