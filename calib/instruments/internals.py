@@ -145,7 +145,7 @@ def _owners(
     numbers: Integers,
     described: Mapping[str, object],
 ) -> list[_Owner]:
-    """Group the stations that occur, by their numbers, by their camera, or targets by their board.
+    """Group the stations whose ``numbers`` occur in rows by their camera, or targets by their board.
 
     ``place_by_name`` has all stations or targets with their places in the error model, in the order of their numbers,
     and ``described`` the cameras or boards of the cell.

@@ -211,7 +211,7 @@ class Robot(Value):
             modified   M_i = Rx(alpha_(i-1)) Tx(a_(i-1)) Rz(theta_i) Tz(d_i)   (Craig)
 
         where ``direction q_i + offset`` is added to theta_i, or to d_i of a joint that slides. Its URDF, `Robot.urdf`,
-        has links drawn as cylinders, and the rows in a comment.
+        has cylinders as links, seen and checked for collisions, and the rows in a comment.
 
         Args:
             rows: One for each joint, base to tip [m and rad].

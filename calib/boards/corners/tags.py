@@ -132,9 +132,9 @@ def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | N
 
 
 def _edge_shifts(image: Array, starts: Array, outwards: Array, reach: float) -> Array:
-    """Return the distances from places (n, 2) to an edge from black to white, shape (n,) [px]; NaN without one.
+    """Return the distances outwards from places (n, 2) to an edge from black to white, (n,) [px]; NaN without one.
 
-    It is sought along ``outwards``, a unit vector (2,), up to ``reach`` [px] to either side.
+    The edge is sought along ``outwards``, a unit vector (2,), up to ``reach`` [px] to either side.
     """
     steps = np.arange(-reach - _STEP, reach + 1.5 * _STEP, _STEP)
     places = starts[:, None, :] + steps[:, None] * outwards
