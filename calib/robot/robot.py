@@ -146,6 +146,7 @@ class Robot(Value):
                 empty: those of the DH rows that the URDF was made from, if it was.
 
         Raises:
+            ArgumentError: An argument has a wrong type.
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
         for argument, link in (("base", base), ("tip", tip)):
