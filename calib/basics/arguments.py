@@ -88,13 +88,13 @@ def check_number(
 
 
 def check_flags(**flags: object) -> None:
-    """Refuse arguments that are neither True nor False, by their names."""
+    """Refuse arguments, given by their names, that are neither True nor False; raises `ArgumentError`."""
     for argument, given in flags.items():
         check_type(argument, given, (bool, np.bool_), "True or False")
 
 
 def check_callable(argument: str, given: object) -> None:
-    """Refuse an argument that is neither a function nor None."""
+    """Refuse an argument that is neither a function nor None; raises `ArgumentError`."""
     if given is not None and not callable(given):
         raise wrong_type(argument, given, "a function, or None")
 
@@ -106,12 +106,12 @@ def check_executor(given: object) -> None:
 
 
 def check_path(argument: str, given: object) -> None:
-    """Refuse an argument that is not the path of a file."""
+    """Refuse an argument that is neither a text nor a path; raises `ArgumentError`. The file need not exist."""
     check_type(argument, given, (str, os.PathLike), "the path of a file")
 
 
 def check_names(argument: str, given: object) -> None:
-    """Refuse an argument that is not a collection of names; a single text is not one."""
+    """Refuse an argument that is not a collection of names; a single text is not one. Raises `ArgumentError`."""
     allowed = "a sequence of names, which are texts"
     if isinstance(given, (str, bytes)) or not isinstance(given, Collection):
         raise wrong_type(argument, given, allowed)
@@ -120,7 +120,7 @@ def check_names(argument: str, given: object) -> None:
 
 
 def check_mapping(argument: str, given: object) -> None:
-    """Refuse an argument that is not a mapping from names."""
+    """Refuse an argument that is not a mapping from names, with any values; raises `ArgumentError`."""
     if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
         raise wrong_type(argument, given, "a mapping from names, which are texts")
 

@@ -133,7 +133,7 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
 
 
 def check_no_xacro(path: str | os.PathLike[str]) -> None:
-    """Refuse the name of a xacro for a file that is to be written as a URDF, with macros and arguments expanded."""
+    """Refuse, by a FileError, the name of a xacro for a file to be written as a URDF, whose macros are expanded."""
     _check_path(path)
     if Path(path).name.lower().endswith(".xacro"):
         raise FileError(

@@ -231,7 +231,10 @@ def check_registered(
 
 
 def _load(given: str, source: str) -> Plugin:
-    """Load the plugin of a source (see `Plugin`), whose name was given so, or return it if it is loaded."""
+    """Load the plugin with a source (see `Plugin`) and the name ``given``, or return it if it is loaded.
+
+    Raises `PluginError` if it cannot be loaded; then the registries and the list of plugins are as before.
+    """
     with _LOCK:
         for plugin in _LOADED:
             if plugin.source == source:
@@ -250,7 +253,10 @@ def _load(given: str, source: str) -> Plugin:
 
 
 def _restore(before: Mapping[str, Mapping[str, Any]], count: int) -> None:
-    """Make the registries what they were before, one imported since then calib's own, and keep ``count`` plugins."""
+    """Give the registries their entries ``before`` again, and keep the first ``count`` plugins.
+
+    A registry that was imported since then is left with calib's own entries.
+    """
     for what, entries in _REGISTRIES.items():
         entries.clear()
         entries.update(before.get(what, _OWN[what]))
@@ -258,7 +264,11 @@ def _restore(before: Mapping[str, Mapping[str, Any]], count: int) -> None:
 
 
 def _import_plugin(given: str, source: str) -> str:
-    """Import a plugin, and return the SHA-256 of its source code; of a package, of all its Python files."""
+    """Import a plugin, and return the SHA-256 of its source code; of a package, of all its Python files.
+
+    ``source`` is the absolute path of a ``.py`` file or the name of a module, ``given`` is the name for messages.
+    Raises `PluginError` for whatever fails.
+    """
     is_file = source.endswith(".py")
     if is_file:
         try:
@@ -342,7 +352,10 @@ def _registered_names(
     before: Mapping[str, Mapping[str, Any]],
     nested: Sequence[Plugin],
 ) -> dict[str, tuple[str, ...]]:
-    """Return by registry the names that a plugin added since ``before``, without those of plugins that it loaded."""
+    """Return by registry the names that a plugin added since ``before``, without those of ``nested`` plugins it loaded.
+
+    Raises `PluginError` if it replaced an entry, or neither added a name nor loaded a plugin.
+    """
     names = {}
     for what, entries in _REGISTRIES.items():
         earlier = before.get(what, _OWN[what])  # a registry that the plugin imported was not there

@@ -140,8 +140,8 @@ def key(
         default_factory: Makes the default.
         absent: What counts without the key, in words; empty: the default, as a file has it.
         option: The option, or options, that give the field too.
-        check: Check of the value in memory, in place of that of its type.
-        each: Check of each entry of a mapping or a tuple in memory.
+        check: Check of the value in memory, in place of that of its type; None: that of its type.
+        each: Check of each entry of a mapping or a tuple in memory; None: that of its type alone.
         json: Key of the value in SI units in result files; empty: the name of the field.
     """
     options = (option,) if isinstance(option, Option) else tuple(option)
@@ -165,7 +165,7 @@ def keys(
         join: Makes the value, from the values of the keys that are there, by their parts.
         default: Default in memory, and so on as of `key`.
         default_factory: Makes the default.
-        check: Check of the value in memory.
+        check: Check of the value in memory; None: that of its type.
     """
     metadata = {_METADATA: _Written(make, join, check)}
     return dataclasses.field(default=default, default_factory=default_factory, metadata=metadata)
@@ -247,7 +247,7 @@ def read_values(
 def read_parts(
     rows: Iterable[Key], table: Mapping[str, Any], place: Place | None = None
 ) -> dict[str, Any]:
-    """Read the values of keys from a table, by their parts; see `read_values`."""
+    """Read the values of keys from a table in SI units, by the keys' parts; CalibError as of `read_values`."""
     return _read_rows([(row.part, row) for row in rows], table, place or Place())
 
 
@@ -322,11 +322,13 @@ def toml_values(value: Any) -> dict[str, Any]:  # noqa: ANN401  any record
 
 
 def toml_lines(value: Any, *, without: Collection[str] = ()) -> list[str]:  # noqa: ANN401  any record
-    """Return a record as lines of TOML, each key under a comment that explains it.
+    """Return a record as lines of TOML, each key under a comment that explains it, its value in the unit of the file.
+
+    Fields that are None are left out, and so are fields that several keys give.
 
     Args:
         value: The record.
-        without: Keys that are left out.
+        without: Keys that are left out too.
     """
     helps = {row.name: row.help for _, row in keys_of(type(value))}
     lines = []
@@ -398,7 +400,11 @@ def _checked_field(
     what: str,
     or_none: str,
 ) -> Any:  # noqa: ANN401
-    """Check a field's value: return it as it is kept, a mapping read-only and a sequence as a tuple."""
+    """Check a field's value: return it as it is kept, a mapping read-only and a sequence as a tuple.
+
+    Raises `ArgumentError` for another type, and CalibError if a check refuses it. ``argument`` and ``what`` name the
+    field, and ``or_none`` ends the description of what is allowed, in messages.
+    """
     if written.check is not None:
         return _checked(given, what, written.check)
     if get_origin(kind) is Mapping:
@@ -433,7 +439,10 @@ def _check_class(
     written: _Written,
     allowed: str,
 ) -> None:
-    """Refuse a value of another class, if the type is a truth value, a text or a record."""
+    """Refuse a value of another class than ``kind`` by `ArgumentError`, if that is a truth value, a text or a record.
+
+    Values of other types pass. ``allowed`` is the message's text on what is allowed, with {} for the type in words.
+    """
     if kind in (bool, str) or dataclasses.is_dataclass(kind):
         classes = (bool, np.bool_) if kind is bool else kind
         check_type(argument, given, classes, allowed.format(_words(kind, written)))

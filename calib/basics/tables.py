@@ -96,7 +96,7 @@ class Table:
         """Read a table from a file.
 
         Args:
-            path: A text file in UTF-8, UTF-16 or Windows' own encoding.
+            path: A text file in UTF-8, UTF-16 or Windows' own encoding; or an Excel file, see `read_text`.
 
         Returns:
             The table; the numbers in its cells are not read yet.

@@ -102,12 +102,12 @@ def form(
     write: Callable[[Any], Any] = same,
     meaning: str = "",
 ) -> Form:
-    """Return the form of values that ``convert`` gives, or refuses as that of `checked` does."""
+    """Return a `Form` whose values ``convert`` reads, or refuses as that of `checked` does, and ``write`` writes."""
     return Form(words, lambda value, place: checked(value, place, words, convert), write, meaning)
 
 
 def of_type(kind: type, words: str, meaning: str = "") -> Form:
-    """Return the form of values that are the same in the file and in memory."""
+    """Return the form of values of a type that are the same in the file and in memory; True is not a number."""
 
     def convert(value: Any) -> Any:  # noqa: ANN401
         is_truth = isinstance(value, bool) and kind is not bool
@@ -128,6 +128,7 @@ def one_of(names: Collection[str] | Mapping[str, Any]) -> Form:
     words = f"one of {choices(by_name)}"
 
     def read(value: Any, place: Place) -> Any:  # noqa: ANN401
+        """Return the value that a word stands for; CalibError if it is none of the words."""
         if isinstance(value, str) and value in by_name:
             return by_name[value]
         likely = did_you_mean(value, by_name) if isinstance(value, str) else ""
@@ -173,7 +174,7 @@ def shift_decimal(value: float, places: int) -> float:
 
 
 def decimal(unit: str, places: int) -> Form:
-    """Return the form of a number in a unit that is this power of ten of SI; it keeps its digits there and back."""
+    """Return the form of a number in a unit that is ten to the power ``places`` of SI; it keeps its decimal digits."""
 
     def read(value: Any) -> float | None:  # noqa: ANN401
         return shift_decimal(value, places) if is_number(value) else None
@@ -191,6 +192,7 @@ def three_numbers(unit: str = "", convert: Callable[[Array], Any] | None = None)
     unit_in_si = UNITS[unit].to_si if unit in UNITS else 1.0
 
     def read(value: Any) -> Any:  # noqa: ANN401
+        """Return three numbers of a file as they are kept; None, or a TypeError, for anything else."""
         if len(value) != 3 or not all(map(is_number, value)):
             return None
         array = np.array(value, dtype=np.float64)
@@ -231,6 +233,7 @@ def list_of(entry: Form, words: str, heading: str = "") -> Form:
     whole = of_type(list, words)
 
     def read(value: Any, place: Place) -> tuple[Any, ...]:  # noqa: ANN401
+        """Return the entries of a list of a file, each read by its form; CalibError names the number of a wrong one."""
         entries = []
         for k, given in enumerate(whole.read(value, place), 1):
             words = f"{heading} number {k}" if heading else f"entry {k} of {place}"

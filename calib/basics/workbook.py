@@ -80,7 +80,10 @@ def read_sheet(data: bytes, source: str, sheet: str) -> tuple[str, str]:
 
 
 def _load(data: bytes, source: str, *, values: bool) -> Workbook:
-    """Load an Excel file, its cells with the values of their formulas or with the formulas."""
+    """Load an Excel file, its cells with the values of their formulas or with the formulas.
+
+    MeasurementError, with the file's name ``source``, if openpyxl is not installed or the file is damaged.
+    """
     try:
         from openpyxl import load_workbook
     except ImportError as error:

@@ -184,7 +184,7 @@ class Board:
     )
 
     def __post_init__(self) -> None:
-        """Check the pattern and its sizes."""
+        """Check pattern, counts, lengths, markers and standard deviations; raises `CalibError`."""
         if self.pattern not in PATTERNS:
             raise CalibError(
                 f"The board '{self.name}' has the pattern '{self.pattern}'; allowed are "
@@ -286,8 +286,8 @@ def marker_outlines(board: Board) -> Array:
         board: The board.
 
     Returns:
-        shape (markers, 4, 2) [m], in the order of the ids, each clockwise from its top left as in OpenCV; a chessboard
-        has none.
+        x and y in the board's frame, shape (markers, 4, 2) [m], in the order of the ids, each clockwise from its top
+        left as in OpenCV; a chessboard has none.
     """
     if board.pattern == CHESSBOARD:
         return np.zeros((0, 4, 2))

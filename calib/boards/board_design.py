@@ -57,15 +57,16 @@ def design(
     """Design a board: choose what is not given so that it is as large as fits on a paper.
 
     Args:
-        paper: Name of the paper, of `PAPERS` or `NO_PAPER`.
-        pattern: See `Board` for this and the following.
-        columns: None: chosen.
-        rows: None: chosen.
-        square: None: chosen.
-        marker: None: chosen.
-        dictionary: None: chosen.
-        first_marker: Matters for the dictionary that is chosen.
-        others: Attributes of the board that do not matter for what is chosen.
+        paper: Name of the paper, of `PAPERS`; or `NO_PAPER`: nothing limits the size.
+        pattern: One of `PATTERNS`.
+        columns: Number of squares, or tags, along x; None: chosen.
+        rows: Number of squares, or tags, along y; None: chosen.
+        square: Side of a square, or distance between the centres of tags [m]; None: chosen.
+        marker: Side of a marker or tag [m]; None: chosen. A chessboard has none.
+        dictionary: Name of OpenCV's dictionary of markers; None: the smallest usual one that is large enough. A
+            chessboard has none.
+        first_marker: Id of the first marker.
+        others: Further attributes of `Board`, which do not matter for what is chosen.
 
     Returns:
         The board.
@@ -86,6 +87,7 @@ def design(
         sizes_of_paper(paper)  # refuses an unknown paper
 
     def make(columns: int, rows: int, square: float) -> Board:
+        """Return the board with these counts and this side of a square [m], what else is not given chosen."""
         # The first dictionary of the pattern that is large enough, or the largest.
         names = _DICTIONARIES[pattern]
         count = columns * rows // 2 if pattern == CHARUCO else columns * rows
@@ -176,7 +178,10 @@ def fitting_sheet(board: Board, paper: str) -> Sheet:
 
 
 def _largest_marker(square: float, dictionary: str) -> float:
-    """Return the largest marker m with m (1 + 2 / bits) <= square: one of its bits is white on each side [m]."""
+    """Return the largest side m of a marker with one of its bits white around it [m]: m (1 + 2 / bits) <= square.
+
+    The bits are those along a side, border included. m is rounded down to millimetres, a small one to tenths of them.
+    """
     if dictionary not in DICTIONARIES:
         return square / 2.0  # the board refuses the dictionary
     bits = DICTIONARIES[dictionary].bits + 2
@@ -189,7 +194,11 @@ def _largest_marker(square: float, dictionary: str) -> float:
 def _most_squares(
     make: _Make, given: tuple[int | None, int | None], square: float, paper: str
 ) -> tuple[int | None, int | None]:
-    """Choose the columns and rows that are not given: as many squares of a size as fit; None where none fit."""
+    """Choose those of the ``given`` columns and rows that are None: as many squares of a side [m] as fit on a paper.
+
+    A ChArUco board gets an odd number of rows, a chessboard an odd sum of columns and rows. What is None stays None if
+    too few squares fit.
+    """
     columns, rows = given
     smallest = make(columns or 3, rows or 3, square)
     across, down = margins(quiet_zone(smallest))

@@ -86,7 +86,10 @@ def board_of_table(table: Mapping[str, Any], where: str, folder: str | Path = ".
 
 
 def _board_of_keys(table: Mapping[str, Any], folder: str | Path) -> Board:
-    """Read a board from the keys of a table, and of the file in ``folder`` that it may name; see `board_of_table`."""
+    """Read a board from the keys of a table, and of the file in ``folder`` that it may name; see `board_of_table`.
+
+    Raises CalibError without the place of the fault, or FileError for the file that is named.
+    """
     rows = [replace(row, part=field.name, needed=False) for field, row in keys_of(Board)]
     values = read_parts([_FILE_KEY, *rows], table)
     file = values.pop(_FILE, None)
@@ -120,11 +123,12 @@ def correct_toml(text: str, board: Board) -> str:
     """Change the numbers in the description of a board, and keep everything else in it, including comments.
 
     Args:
-        text: The content of the file.
+        text: The content of a file that describes a board.
         board: The board as it is to be described.
 
     Returns:
-        The new content.
+        The new content; that of `board_toml`, without the user's comments, if other numbers alone do not describe the
+        board, because a key is missing or a text differs.
     """
     table = parse_toml(text)
     for name, value in toml_values(board).items():

@@ -218,6 +218,9 @@ def page_of(board: Board, sheet: Sheet, lines: Sequence[str]) -> Page:
 
     Returns:
         The page.
+
+    Raises:
+        CalibError: OpenCV, which has the markers, is not installed.
     """
     pattern = black_rectangles(board)
     pattern[:, :2] += sheet.origin
@@ -264,7 +267,7 @@ def _ruler_length(room: float) -> float:
 
 
 def _ruler(length: float, *, inches: bool) -> Array:
-    """Return the lines of a ruler along x, its ticks downwards from y = 0, shape (n, 4) [m].
+    """Return x, y, width and height of the lines of a ruler along x, its ticks downwards from y = 0, shape (n, 4) [m].
 
     The length is that between the middles of the first and the last tick. Ticks of inches hang from a second line.
     """

@@ -26,7 +26,7 @@ def black_rectangles(board: Board) -> Array:
         board: The board.
 
     Returns:
-        x and y of the upper left corner, width and height of each rectangle, shape (n, 4) [m].
+        x and y of the upper left corner in the board's frame, width and height of each rectangle, shape (n, 4) [m].
 
     Raises:
         CalibError: OpenCV, which has the markers, is not installed.

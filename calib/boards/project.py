@@ -94,7 +94,7 @@ def project(camera: Camera, points: Array) -> Array:
         Pixels, shape (..., 2) [px]; NaN for points that are not in front of the camera.
 
     Raises:
-        CalibError: The camera's intrinsics are not known.
+        CalibError: The camera's intrinsics are not known, or OpenCV is not installed.
     """
     cv2 = opencv()
     K, distortion = camera_matrix(camera)
@@ -140,7 +140,7 @@ def corner_pixels(
         shape (N, n): in front of the camera and inside the image, on the board's face and not at too steep an angle.
 
     Raises:
-        CalibError: The camera's intrinsics are not known.
+        CalibError: The camera's intrinsics are not known, or OpenCV is not installed.
     """
     points = in_camera(T_camera_board, corners)
     pixels = project(camera, points)
@@ -178,7 +178,7 @@ def rays(camera: Camera, pixels: Array) -> Array:
         In the camera's frame, shape (n, 3), z = 1.
 
     Raises:
-        CalibError: The camera's intrinsics are not known.
+        CalibError: The camera's intrinsics are not known, or OpenCV is not installed.
     """
     cv2 = opencv()
     K, distortion = camera_matrix(camera)

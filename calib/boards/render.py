@@ -118,7 +118,10 @@ class _Sheet:
         return nearest / (focal_length * _SAMPLES)
 
     def place(self, pixels: Array, drawn: Texture) -> Array:
-        """Return column and row of pixels (n, 2) [px] in the texture: along the ray, to the surface, to the pattern."""
+        """Return the column and row in a texture that pixels (n, 2) [px] of the picture show, shape (n, 2) [px].
+
+        Each pixel's ray is followed to the surface and from there to the pattern; one that misses is far outside.
+        """
         directions_in_camera = rays(self.camera, pixels)
         T_board_camera = rigid_inverse(self.T_camera_board)
         directions = directions_in_camera @ T_board_camera[:3, :3].T
@@ -217,7 +220,7 @@ def write_png(image: Image, path: str | os.PathLike[str], *, overwrite: bool = F
 
 
 def _draw_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> NDArray[np.float32]:
-    """Return grey values (height, width) of a picture with the sheet drawn in front of it, without light and noise."""
+    """Return a picture, grey values (height, width), with the sheet drawn in front of it, without light and noise."""
     window = sheet.window()
     if window is None:
         return picture

@@ -62,7 +62,7 @@ class Camera(Value):
     sigma: Array | None = None
 
     def __post_init__(self) -> None:
-        """Check the intrinsics, and keep read-only copies of them."""
+        """Check the image's size, the lens and the intrinsics (`CalibError`), and keep read-only copies of these."""
         for side in ("width", "height"):
             given = getattr(self, side)
             try:

@@ -99,7 +99,10 @@ def camera_of_table(table: Mapping[str, Any], where: str, folder: str | Path = "
 
 
 def _camera_of_keys(table: Mapping[str, Any], folder: str | Path) -> Camera:
-    """Read a camera from the keys of a table, and of the file in ``folder`` that it may name; see `camera_of_table`."""
+    """Read a camera from the keys of a table, and of the file in ``folder`` that it may name; see `camera_of_table`.
+
+    Raises CalibError without the place of the fault, or FileError for the file that is named.
+    """
     # The keys of the camera's fields; those of its numbers are the lens's.
     rows = [replace(row, part=field.name, needed=False) for field, row in keys_of(Camera)]
     names = [row.name for row in rows]
@@ -137,7 +140,11 @@ def _camera_of_keys(table: Mapping[str, Any], folder: str | Path) -> Camera:
 
 
 def _lens_values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array | None:
-    """Return the intrinsics, shape (m,): the camera's, except for those that a table gives; None without any."""
+    """Return the intrinsics, shape (m,): the camera's, except for those that a table gives; None without any.
+
+    If the camera has none, a table must give focal lengths and centre, and its distortion is 0 where it is not given.
+    CalibError if one is missing or is not a number.
+    """
     given = {name: table[name] for name in lens.names if name in table}
     if not given:
         return camera.values
@@ -177,7 +184,7 @@ def _lens_sigma(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array |
     """Return the standard deviations of the intrinsics, shape (m,), from a table; None: they are the lens's default.
 
     Those that the table does not give are the camera's, or else the default. The table may also say in a word that all
-    are exact or unknown.
+    are exact or unknown. CalibError if it says both, or anything about a camera without intrinsics.
     """
     keys = _sigma_keys(lens)
     given = [key for key in keys if key in table]

@@ -141,7 +141,7 @@ def camera_of_yaml(text: str, where: str) -> Camera:
 
 
 def _pixels(table: Mapping[str, Any], key: str, where: str) -> int:
-    """Return the image's width or height; an OpenCV file may have it as 1280., which is whole."""
+    """Return the image's width or height [px]; an OpenCV file may have it as 1280., which is whole; else CalibError."""
     value = table[key]
     number = _number(value)
     if number is None or number != round(number) or number < 1:
@@ -165,7 +165,7 @@ def _number(value: object) -> float | None:
 def _numbers(table: Mapping[str, Any], key: str, where: str) -> Array:
     """Return the numbers of a matrix, row by row, shape (n,).
 
-    It may be a mapping with its numbers under ``data``, a list, or a list of rows.
+    It may be a mapping with its numbers under ``data``, a list, or a list of rows. CalibError for anything else.
     """
     given = table[key]
     data = given.get("data") if isinstance(given, Mapping) else given
@@ -181,7 +181,7 @@ def _numbers(table: Mapping[str, Any], key: str, where: str) -> Array:
 
 
 def _linear_intrinsics(matrix: Array, where: str) -> Array:
-    """Return fx, fy, cx, cy of a camera matrix (9,), shape (4,) [px]."""
+    """Return fx, fy, cx, cy of a camera matrix (9,), row by row, shape (4,) [px]; CalibError if it is not one."""
     if matrix.shape != (9,):
         raise CalibError(
             f"{where}: 'camera_matrix' has {len(matrix)} numbers; it must have nine, row by row: fx, 0, cx, 0, fy, cy, "
@@ -197,7 +197,10 @@ def _linear_intrinsics(matrix: Array, where: str) -> Array:
 
 
 def _lens_name(table: Mapping[str, Any], where: str) -> str:
-    """Return the name of calib's lens model, ``"pinhole"`` or ``"fisheye"``, that a file's entries name."""
+    """Return the lens model, ``"pinhole"`` or ``"fisheye"``, that a file's entries name; CalibError for another one.
+
+    Without a name it is a pinhole, unless the entry ``fisheye_model`` is true.
+    """
     fisheye = bool(_number(table.get("fisheye_model")) or table.get("fisheye_model") is True)
     model = table.get("distortion_model")
     if model is None:

@@ -72,7 +72,10 @@ class _Normal:
     motion_side: Array
 
     def step(self, damping: float) -> tuple[Array, Array]:
-        """Return the damped Gauss-Newton step: of the intrinsics, shape (m,), and of the motions, shape (V, 6)."""
+        """Return the damped Gauss-Newton step: of the intrinsics, shape (m,), and of the motions, shape (V, 6).
+
+        The diagonals of the normal equations grow by ``damping`` times themselves.
+        """
         diagonal = np.diagonal(self.motion, axis1=1, axis2=2)
         least = _LEAST_DAMPING * np.sum(diagonal, axis=1, keepdims=True) + np.finfo(float).tiny
         motion = self.motion + (damping * diagonal + least)[:, :, None] * np.eye(6)
@@ -219,10 +222,10 @@ def initial_intrinsics(camera: Camera, views: Sequence[View]) -> Array:
 
     Args:
         camera: Its size and lens model.
-        views: Of flat boards.
+        views: Views of flat boards; those with too few corners are left out.
 
     Returns:
-        shape (m,), in the order of the lens's names.
+        shape (m,), in the order of the lens's names: [px], and coefficients of distortion.
 
     Raises:
         MeasurementError: No view has enough corners.
@@ -260,7 +263,11 @@ def initial_intrinsics(camera: Camera, views: Sequence[View]) -> Array:
 
 
 def _closed_form(camera: Camera, views: Sequence[View]) -> Array | None:
-    """Return intrinsics (m,) [px, 1] whose focal lengths solve the equations above; None if undetermined."""
+    """Return intrinsics (m,) [px, 1] whose focal lengths solve the equations at the head of this module.
+
+    The centre is the image's middle, and there is no distortion. None if the focal lengths are not determined, or are
+    implausible.
+    """
     middle = np.array([camera.width - 1, camera.height - 1]) / 2.0
     equations = []  # factors of 1 / fx^2, of 1 / fy^2, and of 1
     for points, pixels in views:

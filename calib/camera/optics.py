@@ -60,7 +60,7 @@ def board_points(optics: Array) -> Array:
     """Return where the corners are on their boards, with the errors of print and flatness.
 
     Args:
-        optics: shape (n, `COUNT`).
+        optics: shape (n, `COUNT`), the numbers of the board and the camera of each corner.
 
     Returns:
         shape (n, 3), in the board's frame [m].
@@ -76,7 +76,7 @@ def images(T_camera_board: Array, optics: Array) -> Array:
 
     Args:
         T_camera_board: shape (n, 4, 4), pose of each row's board in its camera [m].
-        optics: shape (n, `COUNT`).
+        optics: shape (n, `COUNT`), the numbers of the board and the camera of each corner.
 
     Returns:
         shape (n, 2) [px].
@@ -95,7 +95,7 @@ def image_derivatives(T_camera_board: Array, twists: Array, optics: Array) -> tu
         T_camera_board: shape (n, 4, 4), pose of each row's board in its camera [m].
         twists: shape (n, 6, p), velocity of the board's origin and angular velocity, along the camera's axes, by each
             of p parameters.
-        optics: shape (n, `COUNT`).
+        optics: shape (n, `COUNT`), the numbers of the board and the camera of each corner.
 
     Returns:
         shape (n, 2, p), [px] per unit of each parameter; and (n, 2, `COUNT`), [px] per unit of each number.
@@ -159,13 +159,13 @@ def _bulge(optics: Array) -> Array:
 
 
 def _in_camera(T_camera_board: Array, points: Array) -> Array:
-    """Return points (n, 3) of boards in the cameras' frames, shape (n, 3) [m]."""
+    """Return points (n, 3) [m], each of a board with the pose (n, 4, 4) [m] in its camera, in that camera's frame."""
     turned = (T_camera_board[:, :3, :3] @ points[:, :, None])[:, :, 0]
     return np.asarray(turned + T_camera_board[:, :3, 3])
 
 
 def _by_lens(optics: Array) -> Iterator[tuple[Lens, Integers]]:
-    """Yield each lens that occurs, and the indices of its rows."""
+    """Yield each lens that occurs in optics (n, `COUNT`), and the indices, from 0, of its rows."""
     number = optics[:, LENS]
     for k, lens in enumerate(LENSES.values()):
         rows = np.flatnonzero(number == k)

@@ -176,7 +176,7 @@ def _normalisation(points: Array) -> Array:
 
 
 def _pose_of_homography(H: Array, centre: Array) -> Array | None:
-    """Return the pose, shape (4, 4) [m], of a plane with the homography H to images at a depth of 1.
+    """Return the pose, shape (4, 4) [m], of a plane with the homography H, shape (3, 3), to images at a depth of 1.
 
     The plane's origin may be behind the camera, but its point ``centre``, shape (2,), is in front of it. None if H is
     not finite, or not that of such a plane.
@@ -196,7 +196,7 @@ def _pose_of_homography(H: Array, centre: Array) -> Array | None:
 
 
 def _reflect_tilts(T_camera_board: Array, centres: Array) -> Array:
-    """Return the other solutions of the planar pose ambiguity, shape (V, 4, 4) [m].
+    """Return the other solutions of the planar pose ambiguity of poses (V, 4, 4), shape (V, 4, 4) [m].
 
     The normal of each board is reflected about the line of sight to its centre, (V, 3) [m] in the boards' frames, which
     stays in place.

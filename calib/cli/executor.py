@@ -57,7 +57,7 @@ def executor_of(
 
 @contextmanager
 def _dask_executor(address: str) -> Iterator[Executor]:
-    """Provide the executor of a Dask cluster by the address of its scheduler."""
+    """Provide the executor of a Dask cluster by the address of its scheduler; CalibError without Dask or an answer."""
     try:
         from distributed import Client
 

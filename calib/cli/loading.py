@@ -21,12 +21,15 @@ def load(robot: str, cell: Cell, measured: Collection[str] | None = None) -> Rob
     """Load a robot's chain between the cell's base and tip, with the joints that the cell holds and couples.
 
     Args:
-        robot: URDF, xacro, or name.
+        robot: Path of a URDF, a xacro or a file of DH rows, or a robot's name, as `Robot.load` takes it.
         cell: Names base, tip, held joints and coupled readings.
-        measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
+        measured: Names of the joints whose values are known, which decide a tip that the cell does not name; None: all.
 
     Returns:
         The chain.
+
+    Raises:
+        CalibError: As of `Robot.load`.
     """
     from calib.robot.robot import Robot
 
@@ -44,8 +47,8 @@ def load_with_data(
     A tip that the cell does not name is the end of the longest chain whose joints all have a column.
 
     Args:
-        robot: URDF, xacro, or name.
-        cell: Names base, tip, held joints and the kind of the rows.
+        robot: Path of a URDF, a xacro or a file of DH rows, or a robot's name, as `Robot.load` takes it.
+        cell: Names base, tip, held joints, coupled readings and the kind of the rows.
         data: The table.
         table_options: How the table is read, as typed; None: nothing was.
 
@@ -53,7 +56,7 @@ def load_with_data(
         Robot and measurements.
 
     Raises:
-        CalibError: Arguments in the wrong order, or a unit without a list of points.
+        CalibError: Arguments in the wrong order, a unit without a list of points, or a fault of the robot or the table.
     """
     from calib.basics.tables import Table
     from calib.data.columns import column_names
@@ -125,7 +128,7 @@ def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[st
 
 
 def with_target_link(robot: Robot, cell: Cell) -> Cell:
-    """Return the cell with the target at the URDF's link ``calib_target``, if it has one at this tip.
+    """Return the cell with the target at the URDF's link ``calib_target``; unchanged if that is not fixed to the tip.
 
     Args:
         robot: Its URDF may have the link, which an earlier calibration added.

@@ -31,7 +31,7 @@ def say_accepted(name: str, stated: str) -> None:
 
 
 def say_ignored(measurements: Measurements, robot: Robot) -> None:
-    """Name the rows and columns that were not used, and how orientations were read if not as a quaternion.
+    """Print which rows and columns were not used, and how orientations were read if not as a quaternion.
 
     A joint among the columns hints at a wrong base or tip.
 

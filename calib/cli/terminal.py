@@ -59,7 +59,7 @@ def say(text: str) -> None:
 
 
 def styled(text: str) -> Iterator[tuple[str, str]]:
-    r"""Yield the lines of a text, each with its style on a terminal; ``""`` for none.
+    r"""Yield the lines of a text, control characters as escapes, each with its style of rich; ``""`` for none.
 
     Example:
         >>> list(styled("Verdict: use\n  It is better."))
@@ -119,7 +119,8 @@ def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, 
         first: The name of work before the first stage, whose amount is not known: its bar moves to and fro.
 
     Yields:
-        A function of the stage's name, the work done and all of its work; None if stderr is not a terminal.
+        A function of the stage's name, the work done and all of its work; None if ``quiet``, or if stderr is not a
+        terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield None
@@ -133,6 +134,7 @@ def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, 
             tasks[first] = bar.add_task(first, total=None)
 
         def advance(stage: str, done: int, total: int) -> None:
+            """Show how much of a stage is done, in a bar that its first call adds."""
             if first in tasks:
                 bar.remove_task(tasks.pop(first))
             if stage not in tasks:
@@ -154,7 +156,7 @@ def progress_bar(
         first: The name of what comes before it, whose amount is not known.
 
     Yields:
-        A function of the work done and all of the work; None if stderr is not a terminal.
+        A function of the work done and all of the work; None if ``quiet``, or if stderr is not a terminal.
     """
     with stages_bar(quiet=quiet, first=first) as advance:
         yield None if advance is None else partial(advance, label)

@@ -96,7 +96,7 @@ class Verb(TyperCommand):
 def verb(
     help_text: str, registered: Mapping[str, Names] = NONE
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a verb of the command line of a function.
+    """Make a verb of the command line from a function.
 
     A parameter whose type is a dataclass is a group: its fields become options, or those of its method ``parameters``
     (`calib.cli.options.CellOptions`), and the function gets the group. Every verb has ``--plugin`` and ``--debug``
@@ -104,13 +104,15 @@ def verb(
 
     Args:
         help_text: The text of ``--help``.
-        registered: What a placeholder in the help of this verb's options stands for, besides those of every verb.
+        registered: By placeholder in the help of this verb's options, such as ``"{formats}"``, the function that gives
+            the names it stands for; those that every verb may use need not be given.
 
     Returns:
         A decorator; what it returns has the signature from which typer makes the options.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        """Return the verb that calls a function, with the options of its groups as keyword parameters."""
         # `get_type_hints` of Python 3.10 would wrap the type of what defaults to None, which typer does not read.
         parameters = inspect.signature(function, eval_str=True).parameters.values()
         options: list[inspect.Parameter] = []
@@ -159,7 +161,7 @@ class _OfEveryVerb:
 
 
 def _members(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401  a dataclass
-    """Return the options of a group as keyword parameters."""
+    """Return the options of a group as keyword parameters: those of its method ``parameters``, or else its fields."""
     if hasattr(group, "parameters"):
         members: list[inspect.Parameter] = group.parameters()
         return members
@@ -180,7 +182,7 @@ def _members(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401  a dataclas
 def reporting(*, debug: bool) -> Iterator[None]:
     """Report an error of the block as one line on stderr, and end the program with its exit status.
 
-    The text of a `KeyboardInterrupt` says what is kept of the work.
+    The text of a `KeyboardInterrupt` says what is kept of the work. An `OSError` passes: the program reports it.
 
     Args:
         debug: Whether the traceback is printed before the line.

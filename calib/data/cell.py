@@ -458,7 +458,7 @@ class Cell(Value):
     )
 
     def __post_init__(self) -> None:
-        """Check each value, and that they agree; keep read-only copies."""
+        """Check each value, and that they agree (see the class for what is raised); keep read-only copies."""
         keep_checked(self, "cell")
         if self.kind is not None:
             registry.get(self.kind)

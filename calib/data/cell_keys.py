@@ -131,7 +131,7 @@ _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def _quantities_of(parameter: str) -> tuple[str, ...]:
-    """Return the quantities that a parameter may be of, by its name; all if none is known."""
+    """Return the quantities, such as `LENGTH`, that a parameter may be of, by its name; all if the name is unknown."""
     for pattern, quantities in _PARAMETERS:
         if re.fullmatch(pattern, parameter):
             return quantities
@@ -145,7 +145,7 @@ def _quantities_of(parameter: str) -> tuple[str, ...]:
 
 
 def _read_change(value: Any, place: Place) -> float:  # noqa: ANN401
-    """Read a change, in SI units, of the parameter whose name is that of the place."""
+    """Read a change, in SI units, of the parameter whose name is that of the place; CalibError for a wrong unit."""
     allowed = _quantities_of(place.name)
     examples = " or ".join(_EXAMPLES[quantity] for quantity in allowed)
     try:
@@ -158,7 +158,10 @@ def _read_change(value: Any, place: Place) -> float:  # noqa: ANN401
 
 
 def _read_bounds(value: Any, place: Place) -> tuple[float, ...]:  # noqa: ANN401
-    """Read the least and the largest change of a parameter; one value stands for both signs."""
+    """Read the least and the largest change of a parameter, in SI units, from a list or one value for both signs.
+
+    CalibError for a wrong unit; how many there are is checked in memory.
+    """
     if isinstance(value, list):
         return tuple(_read_change(bound, place) for bound in value)
     largest = _read_change(value, place)
@@ -200,6 +203,7 @@ def described_keys(
         return read(TABLE.read(value, place), place.heading, place.folder)
 
     def read_several(value: Any, place: Place) -> dict[str, _Described]:  # noqa: ANN401
+        """Return the cameras or boards of tables by their names in the cell; CalibError for one without a name."""
         result = {}
         for name, given in TABLE.read(value, place).items():
             if not name:
@@ -219,7 +223,7 @@ def described_keys(
 def by_name(
     single: _Described | None = None, several: Mapping[str, _Described] | None = None
 ) -> dict[str, _Described]:
-    """Return cameras or boards by their names in the cell; ``""`` for the one without a name."""
+    """Return cameras or boards by their names in the cell; ``""`` for the ``single`` one without a name; None: none."""
     return {**({} if single is None else {"": single}), **(several or {})}
 
 
@@ -228,7 +232,10 @@ _IMAGE_SIZE = re.compile(r"(\d{2,5})\s*x\s*(\d{2,5})")
 
 
 def _parse_cameras(typed: Iterable[str], flag: str) -> dict[str, Camera]:
-    """Return the cameras of ``[NAME=]FILE`` or ``[NAME=]WIDTHxHEIGHT``, by name."""
+    """Return the cameras of ``[NAME=]FILE`` or ``[NAME=]WIDTHxHEIGHT`` (then without intrinsics), by name or ``""``.
+
+    CalibError for a name that is given twice, or a fault of a file.
+    """
     result: dict[str, Camera] = {}
     for name, file in _named_files(typed, flag).items():
         size = _IMAGE_SIZE.fullmatch(file)

@@ -194,7 +194,8 @@ def _map_by_brand(
 ) -> dict[int, str]:
     """Return the names that a brand maps columns to, by position from 0, with the brand's unit if they have none.
 
-    Columns and joints that are renamed already, and columns that are called as their joints, are not the brand's.
+    Columns and joints that are renamed already, and columns that are called as their joints, are not the brand's. None
+    are mapped without a brand. MeasurementError if the table has more or fewer axes than the robot has joints.
     """
     brand = options.brand_entry
     if brand is None:

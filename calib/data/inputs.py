@@ -131,7 +131,10 @@ def inputs_of(
 
 
 def _check_robot(robot: object, argument: str) -> None:
-    """Refuse an argument that is neither a robot nor a path or name of one, or is the path of a table."""
+    """Refuse an argument that is not a robot or the path or name of one (ArgumentError), or is a table (CalibError).
+
+    A table of DH rows is a robot. MeasurementError if the path is that of a table that cannot be read.
+    """
     check_type(argument, robot, (Robot, str, Path), ROBOT)
     if isinstance(robot, (str, Path)) and is_other_table(robot):
         raise CalibError(

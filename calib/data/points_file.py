@@ -170,7 +170,7 @@ def _separator_of(line: str) -> str:
 
 
 def _refuse(table: Table, row: int) -> NoReturn:
-    """Refuse a line, by its row from 0, that does not fit the others."""
+    """Refuse a line, by its row from 0, that does not fit the others; always raises MeasurementError."""
     text = " ".join(table.cells[row]).strip()[:80]
     raise MeasurementError(
         f"{table.source}, line {table.lines[row]}: '{text}' has no three numbers in the columns "
@@ -214,7 +214,10 @@ def _has_point(cells: Sequence[str], start: int) -> bool:
 
 
 def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Return the indices of the columns of names (none without names) and of x, y, z; a heading may be their header."""
+    """Return the indices of the columns of names (none without names) and of x, y, z; a heading may be their header.
+
+    Without one they follow from the numbers. MeasurementError if these are ambiguous, or a line has other columns.
+    """
     width = len(table.cells[0])
     for heading in reversed(headings):
         words = _split(heading, table.separator)
@@ -235,9 +238,10 @@ def _columns(table: Table, headings: Sequence[str]) -> tuple[list[int], list[int
 
 
 def _check_no_thousands(table: Table, x: int) -> None:
-    """Refuse numbers that a comma between their thousands, 1,992.4945, seems to have parted into two cells.
+    """Refuse, by MeasurementError, numbers that a comma between their thousands seems to have parted into two cells.
 
-    That is so if some lines have more numbers than others, counted from the column of x, or if each has such a number.
+    So it seems if some lines have more numbers than others, counted from the column x on, or if each has a number such
+    as 1,992.4945.
     """
     counts, parted, parted_decimals = [], [], []
     for row in table.cells:
@@ -257,7 +261,7 @@ def _check_no_thousands(table: Table, x: int) -> None:
 
 
 def _first_coordinate(table: Table) -> int:
-    """Return the first column from which on all lines have three numbers."""
+    """Return the first column, from 0, from which on all lines have three numbers; MeasurementError if none is."""
     cells = table.cells
     width = len(cells[0])
     for start in range(width - 2):
@@ -271,10 +275,10 @@ def _first_coordinate(table: Table) -> int:
 
 
 def _is_numbered(table: Table, start: int) -> bool:
-    """Return True if whole numbers in a column name the points, and the coordinates follow; refuse what is ambiguous.
+    """Return True if whole numbers in a column, by its index, name the points, and the coordinates follow.
 
     That is so if three more numbers follow, unless the cells before already name each point. Coordinates that are whole
-    numbers too are ambiguous.
+    numbers too are ambiguous: MeasurementError.
     """
     cells = table.cells
     names = set()
@@ -299,7 +303,7 @@ def _is_numbered(table: Table, start: int) -> bool:
 
 
 def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
-    """Return the unit of the coordinates that remarks or ``given`` name; they must agree."""
+    """Return the unit of length that remarks or ``given`` name; MeasurementError if none does, or they differ."""
     named = dict.fromkeys(filter(None, [*map(_unit_of, remarks), given]))
     lengths = symbols("length")
     if len(named) != 1 or not {*named} <= {*lengths}:

@@ -39,9 +39,10 @@ _TEXT = form("a text in quotes, a whole number or a date", _text_or_none)
 
 
 def _entry(name: str, meaning: str, room: int = LONGEST) -> Any:  # noqa: ANN401  a field
-    """Return the field of an entry that is a text, kept in one line; there is room for so many characters."""
+    """Return the field of an entry that is a text, kept in one line; CalibError for more than ``room`` characters."""
 
     def one_line(value: object) -> str | None:
+        """Return a text in one line, None for anything else; CalibError if it is too long."""
         if not isinstance(value, str):
             return None
         line = " ".join(value.split())

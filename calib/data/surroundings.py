@@ -71,7 +71,7 @@ class TrackerNoise:
     )
 
     def __post_init__(self) -> None:
-        """Check that no part is negative, and that not all are zero."""
+        """Check that no part is negative, and that not all are zero; raises `CalibError`."""
         parts = (self.constant, self.per_length, self.repeatability)
         if not min(parts) >= 0.0 or not any(parts):
             raise CalibError(f"A noise is {parts} m; none may be below 0, and not all 0.")
@@ -103,7 +103,7 @@ class Box(Value):
     )
 
     def __post_init__(self) -> None:
-        """Check size and pose, and keep read-only copies."""
+        """Check size and pose (`CalibError`), and keep read-only copies."""
         size = vector(self.size, f"size of the box '{self.name}'")
         if not (size > 0.0).all():
             raise CalibError(
@@ -144,7 +144,7 @@ class Tracker(Value):
     noise: TrackerNoise = embedded(TrackerNoise, default_factory=TrackerNoise)
 
     def __post_init__(self) -> None:
-        """Check position and range, and keep a read-only copy."""
+        """Check position and range (`CalibError`), and keep a read-only copy."""
         object.__setattr__(self, "position", vector(self.position, "tracker's position"))
         if not 0.0 <= self.nearest < self.farthest:
             raise CalibError(
@@ -170,7 +170,7 @@ class Reflector(Value):
     )
 
     def __post_init__(self) -> None:
-        """Check direction and angle, and keep a read-only unit vector."""
+        """Check direction and angle (`CalibError`), and keep a read-only unit vector."""
         normal = vector(self.normal, "reflector's normal")
         length = float(np.linalg.norm(normal))
         has_direction = length > _SHORTEST_NORMAL
@@ -203,7 +203,7 @@ class GroupDistance:
     sigma: float = key("sigma_mm", MM, "Standard deviation of the distance.")
 
     def __post_init__(self) -> None:
-        """Check the names, the length and its standard deviation."""
+        """Check the names, the length and its standard deviation; raises `CalibError`."""
         stars = (self.first.count("*"), self.second.count("*"))
         are_names = stars in ((0, 0), (1, 1)) and self.first != self.second
         if not are_names or min(self.length, self.sigma) <= 0.0:

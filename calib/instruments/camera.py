@@ -88,7 +88,7 @@ class SightLimits(Value):
     share: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse limits within which no board can be."""
+        """Refuse limits within which no board can be; raises `CalibError`."""
         nearest, farthest = self.distances or (1.0, 2.0)
         if not 0.0 < nearest < farthest < np.inf:
             raise CalibError(
@@ -133,7 +133,7 @@ class CameraInstrument(Instrument):
     assumed: tuple[tuple[Assumption, tuple[float, ...]], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse limits that the board's pattern does not allow."""
+        """Refuse limits that the board's pattern does not allow; raises `CalibError`."""
         if self.board.pattern == CHESSBOARD and self.limits.share < 1.0:
             raise CalibError(
                 f"The board '{self.board.name}' is a plain chessboard, of which all corners must be in the image; "
@@ -198,14 +198,14 @@ class CameraInstrument(Instrument):
         return replace(cell, kind=PIXEL, cameras={"": self.camera}, boards={"": board})
 
     def stops(self, q: Array) -> Array:
-        """Return the joint values of images, each once: a table of corners has many rows for an image."""
+        """Return the joint values of images (n, m), each once, in order: a table (N, m) has many rows for an image."""
         _, first = np.unique(q, axis=0, return_index=True)
         return np.asarray(q[np.sort(first)])
 
     # Which poses of the board it sees
 
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
-        """Yield that the board is in focus, that its front is seen, and that enough of it is in the image."""
+        """Yield the conditions that the board is in focus, that its front is seen, and enough of it is in the image."""
         for sightline in sightlines:
             for reason, passes in (
                 ("focus", self.in_focus),
@@ -215,17 +215,20 @@ class CameraInstrument(Instrument):
                 yield Condition(reason, _along(sightline, passes))
 
     def in_focus(self, T_camera_board: Array) -> Mask:
-        """Test whether the board's centre is between the nearest and the farthest distance, shape (N,)."""
+        """Test at poses (N, 4, 4) [m] whether the distance of the board's centre is within the limits, shape (N,)."""
         distance = self.board_distances(T_camera_board)
         nearest, farthest = self._distances
         return np.asarray((distance >= nearest) & (distance <= farthest))
 
     def is_facing(self, T_camera_board: Array) -> Mask:
-        """Test whether the camera sees the front of the board, and not too slanted, shape (N,)."""
+        """Test at poses (N, 4, 4) [m] whether the camera sees the board's front, and not too slanted, shape (N,)."""
         return np.asarray(board_tilts(self.board, T_camera_board) <= self.limits.tilt)
 
     def in_image(self, T_camera_board: Array) -> Mask:
-        """Test whether the share of the corners is in the image, or for a share of 1 the whole pattern, shape (N,)."""
+        """Test at poses (N, 4, 4) [m] whether enough of the board is in the image, shape (N,).
+
+        Enough is the share of the corners that the limits ask for, and for a share of 1 the whole pattern.
+        """
         points = self.board.corners
         if self.limits.share == 1.0:
             points = np.concatenate([points, outline(self.board)])
@@ -324,7 +327,7 @@ class CameraInstrument(Instrument):
         return np.full(len(distance), self.sigma["px"])
 
     def stop_rows(self, robot: Robot, targets: Sequence[str], group: str) -> Measurements:
-        """Return a row for each corner of the board, as if all were seen."""
+        """Return a row for each corner of the board, as if all were seen in the image's middle with all joints at 0."""
         corners = self.board.corners
         count = len(corners)
         return Measurements(
@@ -354,7 +357,11 @@ class CameraInstrument(Instrument):
     def whitened(
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
-        """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); zero if no corner is seen."""
+        """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); zero if no corner is seen.
+
+        k rows stand for the corners of an image: 6 motions of the board, and the numbers of lens and print that
+        ``model`` estimates. The board is the one target: its poses are (n, 1, 4, 4) [m], its twists (n, 1, 6, p).
+        """
         own = [(number, parameter.internal) for number, parameter in model.internals]
         numbers = [number for number, _ in own]
         columns = [column for _, column in own if column is not None]
@@ -372,7 +379,7 @@ class CameraInstrument(Instrument):
         return np.concatenate(parts)
 
     def _by_place(self, T: Array, columns: list[int], noise: Array) -> Array:
-        """Differentiate images by the board's motion at poses (n, 4, 4), and by numbers of lens and print.
+        """Differentiate images by the board's motion at poses (n, 4, 4), and by ``columns`` of `calib.camera.optics`.
 
         Shape (n, 2 c, k), in standard deviations of the noise (n,) [px]; zero for corners outside of the image.
         """

@@ -144,7 +144,10 @@ class Instrument(Value, ABC):
             unit: Random numbers between 0 and 1, shape (n, `VIEWPOINT_NUMBERS`).
 
         Returns:
-            T_instrument_target, shape (n, 4, 4), [m].
+            T_instrument_target, shape (n, 4, 4), or fewer, [m].
+
+        Raises:
+            NotImplementedError: The instrument sees its target at most poses: `VIEWPOINT_NUMBERS` is 0.
         """
         raise NotImplementedError
 

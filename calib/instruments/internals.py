@@ -145,8 +145,10 @@ def _owners(
     numbers: Integers,
     described: Mapping[str, object],
 ) -> list[_Owner]:
-    """Group the stations that occur, by their numbers, by their camera, or targets by their board.
+    """Group the stations whose ``numbers`` occur in rows by their camera, or targets by their board.
 
+    ``place_by_name`` has all stations or targets with their places in the error model, in the order of their numbers,
+    and ``described`` the cameras or boards of the cell.
     One that is described without a name is that of all that have none of their own: a camera that was moved to several
     stations, or a board that was moved to several places.
     """
@@ -184,7 +186,10 @@ def number_corners(measurements: Measurements) -> tuple[tuple[str, ...], Integer
 
 
 def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse corners outside of the images of a camera's rows, (N,), and intrinsics that are of another resolution."""
+    """Refuse corners outside of the images in a camera's rows, a mask (N,), and intrinsics of another resolution.
+
+    Raises MeasurementError.
+    """
     source = measurements.source or "Measurements"
     size = np.array([camera.width, camera.height])
     beyond = np.maximum(-images.pixels, images.pixels - size)
@@ -209,7 +214,10 @@ def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measu
 
 
 def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse a table whose corners, in the rows of a board, (N,), lie further apart, or nearer, by one factor."""
+    """Refuse corners, in a board's rows, a mask (N,), that are further apart or nearer than described, by one factor.
+
+    Raises MeasurementError. Names that are not numbers of the board's corners are not checked.
+    """
     names = [images.corners[k] for k in images.corner[rows].tolist()]
     if not all(name.isdecimal() and int(name) < len(board.corners) for name in names):
         return  # the names are not those of calib: they may be of other places
@@ -233,7 +241,11 @@ def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Meas
 def _camera_numbers(
     camera: Camera, images: _Images, rows: Mask, owner: _Owner
 ) -> tuple[Array, list[InternalUnknown]]:
-    """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens."""
+    """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens.
+
+    ``rows`` is the mask (N,) of the camera's rows. Unknown intrinsics start at values that fit the images, or raise
+    MeasurementError; what is exact is not an unknown.
+    """
     lens = LENSES[camera.lens]
     widest = np.array([_WIDE[unit] for unit in lens.units])
     start = camera.values
@@ -263,7 +275,7 @@ def _camera_numbers(
 def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None) -> None:
     """Set the corners of a board's rows, (N,), as designed, in ``values``, (N, `optics.COUNT`).
 
-    The extent of a board of which nothing is given is that of the corners seen.
+    The extent of a board of which nothing is given (None) is that of the corners seen.
     """
     points = images.points[rows]
     least = points.min(axis=0)
@@ -282,7 +294,11 @@ def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None)
 def _board_unknowns(
     board: Board, images: _Images, rows: Mask, owner: _Owner
 ) -> list[InternalUnknown]:
-    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places."""
+    """Return the unknowns of a board, seen in a mask (N,) of rows: scale and flatness of the print, corners' places.
+
+    What the board states to be exact, by a standard deviation of 0, is left out, and so is the place of a corner that
+    too few images show.
+    """
     result = []
     for k, axis in enumerate("xy"):
         if board.sigma_scale > 0.0:
@@ -307,7 +323,7 @@ def _parameter(
 ) -> Parameter:
     """Return the parameter of a number of a camera or board: ``"fx[left]"``.
 
-    It adds to a column of `calib.camera.optics`, at one corner, by its number, or at all.
+    It adds to a column of `calib.camera.optics`, at one corner, by its number, or at all (None).
     """
     samples = [(optics.CAMERA if family == CAMERA else optics.BOARD, owner.number)]
     if corner is not None:

@@ -103,7 +103,7 @@ class TrackerInstrument(Instrument):
         return self.kind.position
 
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
-        """Yield that the targets are in range, and the instrument in the cones of their reflectors."""
+        """Yield the conditions that the targets are in range, and the instrument in the cones of their reflectors."""
         for sightline in sightlines:
             yield Condition("tracker_range", partial(self.in_range, sightline))
         if self.reflector is not None:
@@ -134,7 +134,7 @@ class TrackerInstrument(Instrument):
         return np.asarray(self.noise_of_length.std(distance))
 
     def stop_rows(self, robot: Robot, targets: Sequence[str], group: str) -> Measurements:
-        """Return a row for each target."""
+        """Return a row for each target, with all joints at 0 and placeholders for what is measured."""
         joints = np.zeros((len(targets), len(robot.inputs)))
         table = table_of_poses(robot, self.kind.name, joints)
         return replace(table, targets=tuple(targets), groups=(group,) * len(targets))
@@ -146,7 +146,9 @@ class TrackerInstrument(Instrument):
     def whitened(
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
-        """Differentiate what is measured of all targets at a stop, shape (n, k D, p); target by target.
+        """Differentiate what is measured of k targets at a stop, D scalars each, shape (n, k D, p); target by target.
+
+        The targets' poses are (n, k, 4, 4) [m], their twists (n, k, 6, p), the noise of a coordinate (n,) [m].
 
         With the noise s of a coordinate, the repeatability r of the robot is a part of s that all k targets of one stop
         share. The mean of their coordinates then has the variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2: the mean

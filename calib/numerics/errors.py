@@ -60,9 +60,12 @@ class UnitErrors:
         """Summarise the residuals of N rows in one unit.
 
         Args:
-            residual: Measured minus predicted, shape (N, D).
+            residual: Measured minus predicted, shape (N, D), in the units of its channels.
             channels: The channel of each of its entries.
             unit: Symbol of the unit.
+
+        Returns:
+            Figures of the rows with a scalar of this unit, in the unit; NaN if there are none.
         """
         of_unit = channels.where(unit)
         measured = np.any(of_unit, axis=1)

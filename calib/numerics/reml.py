@@ -118,7 +118,10 @@ def prior_std_by_reml(
 
 
 def _scoring_step(score: Array, information: Array, at_bound: Mask) -> Array:
-    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True."""
+    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True.
+
+    ``score`` (B, C + K) and ``information`` (B, C + K, C + K), as of `score_and_information`, are changed in place.
+    """
     score[at_bound] = 0.0
     pivots = diagonals(information)
     pivots += _DAMPING * pivots + _LEAST_DAMPING
@@ -185,7 +188,8 @@ def score_and_information(
 def _information_of_noise(HC: Array, traces: Array, count: Array) -> Array:
     """Return the expected information of log noise, shape (B, C, C), by H_c C / sigma_c^2, shape (B, C, p, p).
 
-    It is 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal.
+    It is 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal, with the
+    ``traces`` tr(H_c C) / sigma_c^2 and the ``count`` N_c, shape (B, C) each.
     """
     B, C, p, _ = HC.shape
     flat = HC.reshape(B, C, p * p)

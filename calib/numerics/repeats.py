@@ -71,7 +71,7 @@ class _Moments(NamedTuple):
 
     @classmethod
     def of(cls, e: Array, w: Array, pose: Integers) -> _Moments:
-        """Sum over poses the residuals e (N, D), 0 where the weights w are; ``pose`` (N,) counts from 0."""
+        """Sum over poses the residuals e (N, D) with weights w (N, D), 0 where nothing counts; ``pose`` (N,) from 0."""
         sum_w = _sum_by_pose(pose, w)
         sum_w2 = _sum_by_pose(pose, w**2)
         measured = sum_w > 0.0
@@ -104,7 +104,7 @@ class _Moments(NamedTuple):
         return np.nan, 0.0
 
     def correlation(self, fitted: float) -> float:
-        """Return the intraclass correlation rho after a fit took so many parameters from the means of poses.
+        """Return the intraclass correlation rho, 0 to 1, after a fit took ``fitted`` parameters from means of poses.
 
         Beyond a mean for each component they make these means smaller than the errors that repeats share.
         """
@@ -130,7 +130,7 @@ def scatter_of_repeats(
     """Estimate the scatter within repeats, which does not depend on the model, and the correlation of repeats.
 
     Args:
-        residual: shape (N, D), measured minus predicted of each row.
+        residual: shape (N, D), measured minus predicted of each row, in the units of its channels.
         channels: Unit of each entry of the residual, and which were measured.
         poses: shape (N,), rows with the same number are repeats.
         weights: shape (N,), robust weights, 0 for outliers.

@@ -90,7 +90,7 @@ def levenberg_marquardt(
     tolerance: float = 1e-12,
     iterations: int = 100,
 ) -> Solution:
-    """Minimise E(x) by Levenberg-Marquardt with a damped step solved by QR.
+    """Minimise E(x) = 1/2 r(x)^T r(x) by Levenberg-Marquardt with a damped step solved by QR.
 
     The step minimises |r + J dx|^2 + mu |D dx|^2, where D are the largest column norms of J so far (J. Moré, 1978) and
     mu follows the gain ratio (H. B. Nielsen, 1999).
@@ -102,6 +102,9 @@ def levenberg_marquardt(
         step_tolerance: A shorter step, in these units, has converged.
         tolerance: So has a step that promises to lower E by less than this share of it.
         iterations: The most trial steps.
+
+    Returns:
+        The last x that was accepted, with status ``"stopped"`` if it took the most steps, and all trial steps.
 
     Raises:
         SolverError: The system is not finite at the start.
@@ -163,7 +166,7 @@ def paper_levenberg_marquardt(
     epsilon: float = 1e-6,
     iterations: int = 500,
 ) -> Solution:
-    """Minimise E(X) by the paper's Levenberg-Marquardt, section 3.3, at *absolute* parameters X in mm and rad.
+    """Minimise E(X) = 1/2 e^T e by the paper's Levenberg-Marquardt, section 3.3, at *absolute* X in mm and rad.
 
     dX = -(J^T J + mu I)^-1 J^T e;  stop when |dX| <= epsilon (|X| + epsilon);
     gain = 2 (E_(k+1) - E_k) / (dX^T (J^T e - mu dX));  mu / nu if gain > 0, mu nu otherwise.
@@ -180,6 +183,9 @@ def paper_levenberg_marquardt(
         nu: Factor by which the damping changes.
         epsilon: Relative length of a step that has converged.
         iterations: The most trial steps.
+
+    Returns:
+        X after the step that converged; or the last one accepted, with status ``"stopped"``; and all trial steps.
 
     Raises:
         SolverError: The system is not finite at the start.
@@ -220,13 +226,16 @@ def scipy_least_squares(
     step_size: Array,
     step_tolerance: float = 1e-9,  # noqa: ARG001  SciPy has tolerances of its own
 ) -> Solution:
-    """Minimise E(x) by SciPy's ``least_squares`` (trust-region reflective, exact SVD steps).
+    """Minimise E(x) = 1/2 r(x)^T r(x) by SciPy's ``least_squares`` (trust-region reflective, exact SVD steps).
 
     Args:
         system: Maps x, shape (p,), to the residual r, (m,), and its Jacobian dr/dx, (m, p).
         x0: shape (p,), start.
         step_size: shape (p,), change of each parameter that is one unit of a step's length.
         step_tolerance: Not used.
+
+    Returns:
+        SciPy's x and message, with status ``"stopped"`` if it took the most evaluations, and every x that it tried.
 
     Raises:
         SolverError: The system is not finite at the start.
@@ -292,7 +301,8 @@ def register(name: str, solver: Solver) -> None:
 
     Args:
         name: Its name, which no other solver has.
-        solver: A function like those of `SOLVERS`.
+        solver: The function: of a system, a start, the change of each parameter that is one unit of a step's length,
+            and the length of a step that has converged; see `levenberg_marquardt`.
 
     Raises:
         SolverError: The name is taken.
@@ -338,7 +348,7 @@ def _column_norms(J: Array) -> Array:
 
 
 def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
-    """Return R, (p, p), and rhs, (p,), of the triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant."""
+    """Return R (p, p) and rhs (p,) with |J dx + r|^2 = |R dx - rhs|^2 + constant, of J (m, p) and r (m,), by QR."""
     p = J.shape[1]
     # By columns, as LAPACK wants it; rows of zeros change nothing.
     both = np.zeros((max(len(r), p), p + 1), order="F")

@@ -66,7 +66,7 @@ def checked_coupling(
 
 
 def _check_has_reading(urdf: Urdf, name: str, held: Mapping[str, float], where: str) -> None:
-    """Refuse a joint without a reading of its own: one that does not exist, is fixed or held, or mimics another."""
+    """Refuse by UrdfError a joint without its own reading: it does not exist, is fixed or held, or mimics another."""
     moving = {joint.name: joint for joint in urdf.joints if joint.type in MOVING}
     fault = ""
     if name not in moving:

@@ -112,7 +112,7 @@ def joint_body(radius: float) -> Cylinder:
 
 
 def rods(path: Sequence[Array], radius: float) -> Iterator[Cylinder]:
-    """Yield the cylinders of a link along a path.
+    """Yield the cylinders of a link along a path, without those of stretches so short that joints hide them.
 
     Args:
         path: Points (3,) in the link's frame, [m], in order.
@@ -146,7 +146,7 @@ def urdf_bytes(
     joints: Iterable[NewJoint],
     bodies: Sequence[Cylinder] = (),
 ) -> bytes:
-    """Return a URDF in UTF-8.
+    """Return a URDF in UTF-8; every body is seen and checked for collisions, efforts and speeds are placeholders.
 
     Args:
         name: Name of the robot.
@@ -218,7 +218,11 @@ _RAIL = 0.5
 
 
 def dh_urdf(robot: DHRobot) -> bytes:
-    """Return the URDF of a robot, with its rows in a comment."""
+    """Return the URDF of a robot of DH rows in UTF-8; its links are cylinders, seen and checked for collisions.
+
+    A comment holds the rows and the coupling of readings as JSON, from which `Urdf.dh` reads them back: a URDF has no
+    place for coupled readings, so its joints take the joints' values.
+    """
     rows = robot.table.rows
     origins, corners = _origins_and_corners(robot.table)
     radii = link_radii(origins)
@@ -272,7 +276,12 @@ def _limits(row: DHRow) -> tuple[float, float] | None:
 
 
 def _origins_and_corners(table: DHTable) -> tuple[list[Array], list[Array]]:
-    """Return the origins of the n joints and the tip, n + 1 poses (4, 4), and the end points (3,) of their X_i, [m]."""
+    """Return the origins of the n joints and the tip, n + 1 poses (4, 4), and the end points (3,) of their X_i, [m].
+
+    Both are in the frame of the joint before. X_i is the part of the rows along and about x (y) before joint i. If a
+    row is too long to be drawn, the frames are moved along their axes to where each is nearest to the one before it,
+    and the end points are zeros.
+    """
     before = [screw(0, row.alpha, row.a) @ screw(1, row.beta, 0.0) for row in table.rows]  # X_i
     last = np.eye(4)
     if table.convention != MODIFIED:

@@ -233,7 +233,11 @@ def _name_of(heading: str) -> tuple[str, bool]:
 
 
 def _find_convention(columns: DHColumns, of_row_before: set[str], stated: str | None) -> str:
-    """Return the convention that headings, the column ``convention`` and a comment state; standard if none does."""
+    """Return the convention that headings, the column ``convention`` and a comment state; standard if none does.
+
+    ``of_row_before`` are the columns whose headings have the index i - 1, ``stated`` is the comment's word, or None.
+    MeasurementError if two are stated, or a word is not a convention.
+    """
     table = columns.table
     by_headings = None
     has_beta = "beta" in columns.by_name
@@ -330,9 +334,10 @@ def value_added(
 
 
 def _factors(columns: DHColumns, i: int, column: str, *, slides: bool) -> dict[str, float]:
-    """Return the factors of joints in a sum such as ``-1 * joint_3 + joint_2 - 90 deg``, by name.
+    """Return the factors of joints in a cell's sum, such as ``-1 * joint_3 + joint_2 - 90 deg``, by name.
 
-    The constant [rad or m] has the key `_CONSTANT`.
+    The constant, [rad], or [m] for a joint that slides, has the key `_CONSTANT`. MeasurementError for a joint named
+    twice, or a constant with a wrong unit.
     """
     text = columns.text(i, column)
     terms = _SIGNS.split(text)
@@ -348,7 +353,10 @@ def _factors(columns: DHColumns, i: int, column: str, *, slides: bool) -> dict[s
 
 
 def _term(columns: DHColumns, i: int, column: str, term: str, *, slides: bool) -> tuple[str, float]:
-    """Return the joint and factor of ``-0.5 * joint_2`` or ``joint_2``, or the constant [rad or m] without a joint."""
+    """Return the joint and factor of ``-0.5 * joint_2`` or ``joint_2``, or `_CONSTANT` and its value [rad or m].
+
+    MeasurementError for a constant with a wrong unit; any other word counts as a joint, which the caller checks.
+    """
     before_star, star, after_star = (part.strip() for part in term.partition("*"))
     if star and NUMBER.fullmatch(before_star):
         return after_star, float(before_star)

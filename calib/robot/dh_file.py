@@ -128,7 +128,10 @@ def is_other_table(path: str | Path) -> bool:
 
 
 def _lines_to_read(columns: DHColumns) -> list[int]:
-    """Return the lines, from 0, of the table that is read: ``after`` or ``robot``, or all if there is only one."""
+    """Return the lines, from 0, of the table that is read: ``after`` or ``robot``, or all if there is only one.
+
+    MeasurementError for a word that is not one of calib's tables, or if neither of the two is there.
+    """
     count = range(len(columns.table.cells))
     if "table" not in columns.by_name:
         return list(count)
@@ -146,7 +149,11 @@ def _lines_to_read(columns: DHColumns) -> list[int]:
 
 
 def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str, float]]]:
-    """Return the rows with their constant poses, and the factors of other joints' readings by coupled joint."""
+    """Return the rows with their constant poses, and by coupled joint the factors of other joints' readings, by name.
+
+    A pose without a line ``base`` or ``tool`` is the identity, and a joint without a name is called after its number.
+    MeasurementError for a second line of a pose, a second joint of one name, a fault in a cell, or no joint at all.
+    """
     naming = _naming(columns)
     poses: dict[str, Array] = {}
     joint_lines = []
@@ -194,7 +201,10 @@ def _naming(columns: DHColumns) -> str:
 
 
 def _pose(columns: DHColumns, i: int) -> Array:
-    """Return the constant pose in line i, from 0, of a table, shape (4, 4) [m]."""
+    """Return the constant pose in line i, from 0, of a table, shape (4, 4) [m]; empty cells are 0.
+
+    MeasurementError if the table has no columns of a pose, or the line has one of the numbers of a DH row.
+    """
     if not {*POSE} & columns.by_name.keys():
         what = f"a constant pose needs the columns {choices(POSE)}, with units."
         raise columns.error(i, _naming(columns), what)
@@ -212,7 +222,10 @@ def _pose(columns: DHColumns, i: int) -> Array:
 def _row(
     columns: DHColumns, i: int, name: str, names: Sequence[str]
 ) -> tuple[DHRow, dict[str, float]]:
-    """Return the row of line i, from 0, for the joint of this name, and the factors of other joints' readings in it."""
+    """Return the row of line i, from 0, for the joint of this name, and the factors of others' readings in its value.
+
+    ``names`` are all joints of the table, which alone may be coupled. MeasurementError for a fault in a cell.
+    """
     word = columns.text(i, "type").lower()
     if word not in _TYPES:
         what = f"'{word}' is not a type of joint; it must be 'revolute' or 'prismatic'."
@@ -273,7 +286,7 @@ def file_content(
     joints: list[dict[str, Any]],
     tables: Mapping[str, DHTable],
 ) -> dict[str, Any]:
-    """Return the content of a file of DH rows.
+    """Return the content of a JSON file of DH rows, in m and rad; a table that is not given is None.
 
     Args:
         robot: Its ``name``, and the links ``base`` and ``tip``.
@@ -370,7 +383,10 @@ def robot_of_json(table: Mapping[str, Any], source: str) -> DHRobot:
 
 
 def _row_of_json(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
-    """Return a row from its entries in ``joints``, see `joint_json`, and in ``rows``, see `file_content`."""
+    """Return a row from its entries in ``joints``, see `joint_json`, and in ``rows``, see `file_content`.
+
+    ModelError if the value added is not 1 or -1 times that of the row's own joint, KeyError if an entry is missing.
+    """
     unit = "m" if joint["type"] == "prismatic" else "rad"
     if joint["driver"] != joint["joint"] or abs(joint["factor"]) != 1.0:
         raise ModelError(

@@ -174,7 +174,7 @@ class DHRobot(Value):
     coupling: Coupling = field(default_factory=ReadOnlyMapping)
 
     def __post_init__(self) -> None:
-        """Check that rows, names and coupling make a robot, and keep a read-only copy of the coupling."""
+        """Raise ModelError unless rows, names and coupling make a robot, and keep a read-only copy of the coupling."""
         entries = {joint: ReadOnlyMapping(factors) for joint, factors in self.coupling.items()}
         object.__setattr__(self, "coupling", ReadOnlyMapping(entries))
         rows = self.table.rows

@@ -31,7 +31,7 @@ def full_model(urdf: Urdf) -> pin.Model:
 
 @lru_cache(maxsize=8)
 def _built_model(urdf: Urdf) -> pin.Model:
-    """Return the model that `full_model` copies: reading the XML takes ten times as long as a copy."""
+    """Return the model that `full_model` copies, or raise its UrdfError: reading the XML takes ten times a copy."""
     try:
         model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
     except (ValueError, RuntimeError) as error:

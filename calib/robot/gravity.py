@@ -50,7 +50,7 @@ class Payload(Value):
     )
 
     def __post_init__(self) -> None:
-        """Copy the centre of mass and check the numbers."""
+        """Copy the centre of mass and check the numbers; raises `ModelError`."""
         com = finite_vector(self.com, "centre of mass of a payload", "[m]")
         object.__setattr__(self, "com", com)
         if not (np.isfinite(self.mass) and self.mass >= 0):

@@ -146,6 +146,7 @@ def twists(
     angular = inner[:, 1].reshape(3 * (n + 1), p).T
 
     def work(block: slice) -> None:
+        """Fill in the poses and the Jacobian of a block of samples."""
         frames = _frames(geometry, steps, samples, block)
         T_frame_target[block, :3] = frames[-1].transpose(2, 1, 0)
         B = frames.shape[3]
@@ -231,7 +232,7 @@ def carried(frames: Array, T: Array, place: Numbers) -> Array:
     """Return the next frames: frames times the placement that belongs to each sample.
 
     Args:
-        frames: Shape (4, 3, B), [m].
+        frames: Shape (4, 3, B), axes x, y, z and origin [m] of a frame in B samples.
         T: Shape (K, 4, 4), [m], the placements to choose from.
         place: Shape (B,), index of each sample's placement.
 
@@ -264,7 +265,11 @@ def _steps(geometry: Geometry) -> Array:
 
 
 def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slice) -> Array:
-    """Return the frames of base, n joints before they move, tip and target, shape (n + 3, 4, 3, B) [m]."""
+    """Return the frames of base, n joints before they move, tip and target in a block of B samples.
+
+    Shape (n + 3, 4, 3, B): axes x, y, z and origin [m] of each, along the axes of the sample's measurement frame.
+    ``steps`` are the placements of `_steps`.
+    """
     values = samples.values[block].T
     n, B = values.shape
     sines = np.sin(values)

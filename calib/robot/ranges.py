@@ -119,6 +119,7 @@ def sobol(count: int, columns: int) -> Array:
 def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:
     """Return bounds (m, 2), [rad] or [m], of ``robot.inputs``, which also keep joints that mimic them within theirs.
 
+    ``bounds_of`` gives the lower and the upper bound of one joint.
     A joint whose bounds would leave nothing is not considered.
     """
     bounds = np.array([bounds_of(joint) for joint in robot.inputs])
@@ -142,7 +143,10 @@ def _limits_of(joint: UrdfJoint) -> tuple[float, float]:
 
 
 def _range_of(joint: UrdfJoint) -> tuple[float, float]:
-    """Return the part of a joint's limits within one turn or metre of zero, or their end that is nearer to zero."""
+    """Return the part of a joint's limits within half a turn [rad] or a metre [m] of zero, low and high.
+
+    If there is no such part, both are the limit that is nearer to zero.
+    """
     bound = _UNLIMITED_SLIDE if joint.type == "prismatic" else np.pi
     lower, upper = _limits_of(joint)
     low = min(max(-bound, lower), upper)
@@ -197,7 +201,7 @@ def joint_ranges(
         margin: Added at both ends of ``like`` [rad or m], not beyond a limit; one number, or one for each joint.
 
     Returns:
-        Shape (m, 2), [rad] or [m], read-only.
+        Least and largest value of each of ``robot.inputs``, not of its reading, shape (m, 2), [rad] or [m], read-only.
 
     Raises:
         CalibError: The chain has no such joint, or the range is empty, exceeds the limits, or has the wrong unit.

@@ -26,7 +26,7 @@ def check_written(robot: Robot, expected: Array, q: Array) -> None:
     Args:
         robot: The robot with the URDF that is to be written.
         expected: Shape (N, 4, 4), [m], T_base_tip by the model in memory.
-        q: Shape (N, m), the joint values of these poses, [rad] or [m], in the order of ``robot.joint_names``.
+        q: Shape (N, m), the joint readings of these poses, [rad] or [m], in the order of ``robot.joint_names``.
 
     Raises:
         UrdfError: A reader disagrees by more than `TOLERANCE`, or cannot read the URDF at all.
@@ -45,7 +45,10 @@ def check_written(robot: Robot, expected: Array, q: Array) -> None:
 
 
 def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
-    """Return T_base_tip as yourdfpy computes it from the URDF's text, shape (N, 4, 4), [m]."""
+    """Return T_base_tip at readings q (N, m) [rad or m] as yourdfpy computes it from the URDF's text, (N, 4, 4) [m].
+
+    UrdfError if yourdfpy cannot read the URDF.
+    """
     model = yourdfpy_model(robot.urdf)
     # yourdfpy slides by q times the axis as it is written, which may have any length.
     lengths = np.ones(len(robot.joints))

@@ -146,6 +146,7 @@ class Robot(Value):
                 empty: those of the DH rows that the URDF was made from, if it was.
 
         Raises:
+            ArgumentError: An argument has a wrong type.
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
         for argument, link in (("base", base), ("tip", tip)):
@@ -211,7 +212,7 @@ class Robot(Value):
             modified   M_i = Rx(alpha_(i-1)) Tx(a_(i-1)) Rz(theta_i) Tz(d_i)   (Craig)
 
         where ``direction q_i + offset`` is added to theta_i, or to d_i of a joint that slides. Its URDF, `Robot.urdf`,
-        has links drawn as cylinders, and the rows in a comment.
+        has cylinders as links, seen and checked for collisions, and the rows in a comment.
 
         Args:
             rows: One for each joint, base to tip [m and rad].
@@ -412,7 +413,7 @@ class Robot(Value):
         return result
 
     def readings(self, values: ArrayLike) -> Array:
-        """Return the readings q = C^-1 theta at values of ``inputs``, the inverse of `input_values`, shape (N, m).
+        """Return the readings q = C^-1 theta at values of ``inputs``, shape (N, m), [rad] or [m]; see `input_values`.
 
         Args:
             values: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.

@@ -175,7 +175,7 @@ def chain_of_rows(rows: Array) -> Array:
 
 
 def ur_urdf(model: UrModel) -> bytes:
-    """Return the URDF of a nominal arm, with links drawn as cylinders.
+    """Return the URDF of a nominal arm in UTF-8; its links are cylinders, seen and checked for collisions.
 
     Links, joints and origins are those of Universal Robots' description for ROS 2; ``base`` is the controller's base,
     ``tool0`` its flange.

@@ -324,7 +324,7 @@ def _origin_tag(T: Array) -> bytes:
 
 
 def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
-    """Return the URDF of a robot that DH rows describe, with links drawn as cylinders.
+    """Return the URDF of a robot that DH rows describe; its links are cylinders, seen and checked for collisions.
 
     Args:
         robot: The robot; the joints of the URDF have the values of its joints, not coupled readings.
@@ -386,6 +386,7 @@ def robot_data_urdfs() -> dict[str, Path]:
 def find_urdf(source: str | Path) -> Path | None:
     """Return the file of a path, or of the name, in any case, of a robot of example-robot-data; None if it has none.
 
+    Whatever has an ending or a folder is taken for a path, whether or not there is such a file.
     ``<name>_robot.urdf`` comes before ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
     """
     path = Path(source)

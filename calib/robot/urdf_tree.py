@@ -185,7 +185,7 @@ def _fault(
     text: str,
     part: Element | None = None,
 ) -> UrdfError:
-    """Return an error about a joint, with the line of one of its parts, or of the joint itself."""
+    """Return an error about a joint, with the line of one of its parts, or of the joint itself if that is None."""
     return document.at(part or element, f"joint '{element.attributes['name']}'{text}")
 
 
@@ -213,7 +213,7 @@ def _numbers(
     key: str,
     default: tuple[float, ...],
 ) -> tuple[float, ...]:
-    """Return the finite numbers of ``<tag key="...">`` of a joint, as many as the default, which are those if missing.
+    """Return the finite numbers of ``<tag key="...">`` of a joint, as many as the default has; that if it is missing.
 
     UrdfError if anything else is written.
     """
@@ -234,7 +234,7 @@ def _numbers(
 
 
 def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[str, ...]) -> None:
-    """Refuse links that do not exist or have two parents, several roots, and loops."""
+    """Refuse by UrdfError links that do not exist or have two parents, several roots, and loops."""
     above: dict[str, UrdfJoint] = {}
     for joint, element in zip(joints, document.root.all("joint"), strict=True):
         for link in (joint.parent, joint.child):
@@ -267,7 +267,7 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
 
 
 def _check_units(document: Document, joints: tuple[UrdfJoint, ...]) -> None:
-    """Refuse a URDF whose lengths look like millimetres, or its angles or limits like degrees."""
+    """Refuse by UrdfError a URDF whose lengths look like millimetres, or its angles or limits like degrees."""
     lengths = [float(np.linalg.norm(joint.xyz)) for joint in joints]
     apart = [length for length in lengths if length > 0.0]
     typical = float(np.median(apart)) if apart else 0.0

@@ -73,7 +73,8 @@ def find_inner_corners(
         pixels: Their pixels, shape (m, 2).
 
     Returns:
-        The corners in the order of their ids, those that agree with the others; and the map fitted to them.
+        All inner corners in the order of their ids, NaN for those that were not found or do not agree with the others;
+        and the map fitted to those found.
     """
     corners = board.corners[:, :2]
     signs = corner_signs(board)
@@ -126,7 +127,10 @@ def windows_at(board: Board, planar_map: PlanarMap, points: Array) -> Array:
 
 
 def window_size(board: Board) -> float:
-    """Return the width of the window around a corner on the board [m]: it holds no marker, or both alike."""
+    """Return the width of the window around a corner on the board [m].
+
+    On a ChArUco board it is narrow enough to keep clear of the markers, unless there is hardly any white around them.
+    """
     largest = _WINDOW * board.square
     if board.pattern != CHARUCO:
         return largest
@@ -135,7 +139,7 @@ def window_size(board: Board) -> float:
 
 
 def _smallest_squares(board: Board, planar_map: PlanarMap, corners: Array) -> Array:
-    """Return the width of a square at each corner where it is narrowest, shape (n,) [px]; 0 behind the camera."""
+    """Return how wide a square at each of the corners (n, 2) [m] is where narrowest, (n,) [px]; 0 behind the camera."""
     jacobians = planar_map.jacobians(corners, _STEP * board.square)
     known = np.nan_to_num(jacobians, nan=0.0)
     return np.asarray(board.square * np.linalg.svd(known, compute_uv=False)[:, 1])
@@ -235,7 +239,7 @@ def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool
 
 
 def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8-bit
-    """Return columns and rows of whatever chessboard an image shows, the larger number first; None if there is none."""
+    """Return how many squares the chessboard that an image shows has along its sides, the larger first; None: none."""
     cv2 = opencv()
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     is_seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)

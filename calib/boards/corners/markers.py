@@ -225,8 +225,10 @@ def _agree_with_map(planar_map: PlanarMap, points: Array, markers: Markers) -> M
 
 
 def _agree_with_neighbours(points: Array, markers: Markers, agrees: Mask) -> Mask:
-    """Return True for further markers that the homography of their nearest neighbours predicts, shape (m,).
+    """Mark those of the markers not in ``agrees`` (m,) that the homography of their nearest neighbours in it predicts.
 
+    ``points`` are their corners on the board, shape (m, 4, 2) [m]; the mask returned has the shape (m,), and marks none
+    if there are too few neighbours.
     A lens may bend in a way that no map of the whole board follows.
     """
     result = np.zeros(len(points), dtype=bool)

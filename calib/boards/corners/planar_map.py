@@ -80,7 +80,7 @@ class PlanarMap(Value):
         return np.stack(columns, axis=-1)
 
     def unproject(self, pixels: Array) -> Array:
-        """Return the points of the board that are seen at pixels, shape (n, 2) [m]."""
+        """Return the points (n, 2) [m], x and y on the board, that are seen at pixels (n, 2)."""
         undistorted = _undistort((pixels - self.middle) / self.half_diagonal, self.distortion)
         homogeneous = np.column_stack([undistorted, np.ones(len(pixels))])
         on_board = np.linalg.solve(self.H, homogeneous.T).T
@@ -107,6 +107,7 @@ def fit_planar_map(
     root = np.ones(len(points)) if weights is None else np.sqrt(weights)
 
     def cost(distortion: float) -> float:
+        """Return the weighted squares of the points' errors in the image, with the best H, and that of the prior."""
         H = _homography(points, _undistort(distorted, distortion), root)
         residual = root[:, None] * (distorted - _distort(_apply(H, points), distortion))
         prior = (distortion * _SIGMA_POINT / _SIGMA_LAMBDA) ** 2
@@ -148,8 +149,9 @@ def _distort(undistorted: Array, distortion: float) -> Array:
 def _homography(points: Array, image: Array, root_weights: Array) -> Array:
     """Return the homography H (3, 3) of least weighted algebraic error from points (n, 2) to images (n, 2).
 
-    Its sign gives the points' middle a positive depth. Both sides are first moved and scaled to mean 0 and size 1
-    (Hartley 1997, "In defense of the eight-point algorithm").
+    ``root_weights`` are the square roots of the points' weights, shape (n,). The sign of H gives the points' middle a
+    positive depth. Both sides are first moved and scaled to mean 0 and size 1 (Hartley 1997, "In defense of the
+    eight-point algorithm").
     """
     from_points = _normalisation(points)
     from_image = _normalisation(image)

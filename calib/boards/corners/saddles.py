@@ -139,7 +139,7 @@ def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) ->
         signs: 1 if the square towards +x, +y is white, -1 if it is black, shape (n,).
 
     Returns:
-        The saddles: those that converge near the place expected, surrounded by the colours of four squares.
+        n saddles, each near the place expected and surrounded by the colours of four squares; NaN if there is none.
     """
     pixels = np.full((len(expected), 2), np.nan)
     sigma = np.full(len(expected), np.nan)
@@ -158,7 +158,7 @@ def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) ->
 
 
 def _converge(image: Array, expected: Array, window: Array) -> Array | None:
-    """Return the corner (2,) [px] near ``expected`` to which gradients in a window point; None without one."""
+    """Return the corner (2,) [px] near ``expected`` (2,) where edges in a window (2, 2) [px] meet; None if none do."""
     q = expected
     inverse = np.linalg.inv(window)
     for _ in range(_MAX_STEPS):
@@ -178,7 +178,10 @@ def _converge(image: Array, expected: Array, window: Array) -> Array | None:
 
 
 def _alternates(image: Array, q: Array, window: Array, sign: float) -> bool:
-    """Return True if greys around q (2,) [px] alternate as four squares do; sign 1: the one to +x, +y is white."""
+    """Return True if greys around q (2,) [px] alternate as four squares do; sign 1: the one to +x, +y is white.
+
+    The columns of ``window`` (2, 2) [px] are the window along the board's x and y. False at the image's edges.
+    """
     directions = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
     places = q + _RADIUS * directions @ window.T
     inside = (places >= 1.0) & (places <= np.array(image.shape[::-1]) - 3.0)

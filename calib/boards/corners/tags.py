@@ -68,7 +68,7 @@ def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
         quadrilaterals: Corners of each tag, clockwise, to a pixel or two, shape (m, 4, 2) [px].
 
     Returns:
-        The corners, tag after tag: 4 m of them.
+        The corners, tag after tag: 4 m of them; NaN for all four of a tag if an edge is not found from those given.
     """
     pixels = np.full((4 * len(quadrilaterals), 2), np.nan)
     sigma = np.full(4 * len(quadrilaterals), np.nan)
@@ -103,7 +103,7 @@ def _corner(image: Array, corners: Array, j: int) -> tuple[Array, float] | None:
 
 
 def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | None:
-    """Fit a line to the half of an edge next to ``corner`` (2,) [px]; None if too little of it is seen.
+    """Fit a line to the half next to ``corner`` (2,) of an edge from there to ``other`` (2,) [px]; None if hardly seen.
 
     ``inside`` is 1 if the tag is on the left when the image is walked from the corner to the other end, otherwise -1.
     """
@@ -132,7 +132,10 @@ def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | N
 
 
 def _edge_shifts(image: Array, starts: Array, outwards: Array, reach: float) -> Array:
-    """Return the distances outwards from places (n, 2) to an edge from black to white, (n,) [px]; NaN without it."""
+    """Return the distances outwards from places (n, 2) to an edge from black to white, (n,) [px]; NaN without one.
+
+    The edge is sought along ``outwards``, a unit vector (2,), up to ``reach`` [px] to either side.
+    """
     steps = np.arange(-reach - _STEP, reach + 1.5 * _STEP, _STEP)
     places = starts[:, None, :] + steps[:, None] * outwards
     values = _interpolate(image, places)

@@ -114,7 +114,7 @@ def picture_findings(pictures: Sequence[Picture]) -> Iterator[Finding]:
 
 
 def usual_sizes(pictures: Sequence[Picture]) -> dict[str, tuple[int, int]]:
-    """Return the size [px] that most pictures of each camera have, by the name of the camera."""
+    """Return the width and height [px] of most pictures of each camera, by its name; unreadable ones do not count."""
     counts: dict[str, Counter[tuple[int, int]]] = defaultdict(Counter)
     for picture in pictures:
         if picture.size != (0, 0):
@@ -234,7 +234,7 @@ def _chessboard_in(_: None, file: ImageFile) -> tuple[int, int] | None:
 
 
 def _ids_in(_: None, file: ImageFile) -> dict[tuple[str, ...], set[int]]:
-    """Return the ids of the markers in a picture by kind of dictionary."""
+    """Return the ids of the markers in a picture by the kinds of dictionary, of `KINDS`, in which they were sought."""
     image = read_image(file)
     return {kind: set(find_markers(image, kind[-1]).ids.tolist()) for kind in KINDS}
 
@@ -337,7 +337,7 @@ def measured_ratio(board: Board, seen: Sequence[Seen]) -> float:
 
     Args:
         board: The board, with the right layout.
-        seen: Markers in pictures.
+        seen: Markers in pictures, with the sizes of the pictures; those with too few markers are left out.
     """
     layout = marker_outlines(board)
     ratios = []

@@ -152,7 +152,7 @@ def check_boards(boards: Sequence[Board]) -> None:
 def _check_sequence(
     argument: str, given: object, types: type | tuple[type, ...], allowed: str
 ) -> None:
-    """Refuse an argument that is not a sequence of values of some types, or is empty."""
+    """Refuse an argument that is empty, or not a sequence of ``types`` (in words: ``allowed``); `ArgumentError`."""
     if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or not given:
         raise wrong_type(argument, given, f"a sequence of {allowed}, one or more")
     for k, value in enumerate(given):

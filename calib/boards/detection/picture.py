@@ -104,7 +104,10 @@ def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is 
 
 
 def _named_by(word: str | Path) -> list[Path]:
-    """Return the pictures that a word names: a file, those in a folder, or those that match a pattern."""
+    """Return the files that a word names: one file, those of a folder by `ENDINGS`, or all that match a pattern.
+
+    Those of a folder or a pattern are sorted, numbers in their names by value. Raises `FileError` if there is none.
+    """
     path = Path(word)
     if path.is_dir():
         inside = [entry for entry in path.iterdir() if entry.suffix.lower() in ENDINGS]

@@ -258,7 +258,7 @@ def column_options(columns: ColumnsInput) -> ColumnOptions:
 
 
 def _units(text: str | None) -> dict[Quantity, str]:
-    """Return the symbols of ``--joint-unit`` by their quantities; raises `MeasurementError`."""
+    """Return the symbols of ``--joint-unit`` by their quantities, none for None; raises `MeasurementError`."""
     units: dict[Quantity, str] = {}
     for word in (text or "").split():
         try:
