@@ -166,7 +166,7 @@ class Evidence:
 
     @cached_property
     def _fall_without_outliers(self) -> tuple[float, float]:
-        """See `_test_fall`."""
+        """The gain and its p-value on held-out rows, outliers aside; see `_test_fall`."""
         return self._test_fall(of_all=False)
 
     def _test_fall(self, *, of_all: bool) -> tuple[float, float]:

@@ -10,11 +10,11 @@ import numpy as np
 from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, still_joints
-from calib.diagnosis.joint_senses import doubtful_senses
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
+from calib.diagnosis.usual_mistakes import doubtful_senses
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.special_cases.arm_size import measures_length

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only
-from calib.diagnosis.extrapolation import extrapolation
+from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
