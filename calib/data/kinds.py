@@ -38,6 +38,7 @@ from calib.data.kind_check import check_functions
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.internals import Internals, InternalValues, StatedSize
+from calib.numerics.correlated_noise import POSE_UNITS
 from calib.numerics.geometry import inverse_right_jacobian
 
 #: Least and largest standard deviation accepted for a measurement [m, rad or px]: no instrument is
@@ -172,22 +173,18 @@ class Kind(Value):
             raise CalibError(
                 f"The kind '{self.name}' measures a position: its first three units are those of x, y and z, 'm'."
             )
-        if self.orientation:
-            self._check_orientation()
-        if self.residual is None:
-            self._check_units_of_readings()
-
-    def _check_orientation(self) -> None:
-        """Check that the position is measured too, and that three angles, a rotation vector, follow its lengths."""
-        if not self.position:
+        if self.orientation and not self.position:
             raise CalibError(
                 f"The kind '{self.name}' measures an orientation, so it needs 'position' too; an orientation alone is "
                 "given as 'readings'."
             )
-        if self.units.count("rad") == 3 and self.units[3:6] != ("rad", "rad", "rad"):
+        is_rotation_vector = self.orientation and self.units.count("rad") == 3
+        if is_rotation_vector and self.units[3:6] != ("rad", "rad", "rad"):
             raise CalibError(
                 f"The kind '{self.name}' measures an orientation: its three units 'rad' follow those of the position."
             )
+        if self.residual is None:
+            self._check_units_of_readings()
 
     def _check_units_of_readings(self) -> None:
         """Check that the units are those of what is measured, from which the prediction is subtracted."""
@@ -223,6 +220,11 @@ class Kind(Value):
         if self.turns is None:
             return self.orientation or "rad" in self.units
         return self.turns
+
+    @property
+    def may_have_covariance(self) -> bool:
+        """True if rows measure a position and an orientation, and nothing else: they may have a covariance."""
+        return self.orientation and self.units == POSE_UNITS
 
     @property
     def coordinates(self) -> bool:
@@ -352,7 +354,15 @@ def register(kind: Kind) -> None:
             see `calib.data.kind_check.check_functions`.
     """
     check_type("kind", kind, Kind, "a Kind of calib.data.kinds")
-    _check_new(kind)
+    if kind.name in _KINDS:
+        raise CalibError(f"There is a kind '{kind.name}' already; rename yours.")
+    columns = readings()
+    for reading in kind.readings:
+        if columns.get(reading.name, reading) != reading:
+            raise CalibError(
+                f"The column '{reading.name}' belongs to another kind and is read differently there (quantity or "
+                f"sign); rename that of '{kind.name}'."
+            )
     check_functions(kind)
     _add(kind)
 
@@ -360,19 +370,6 @@ def register(kind: Kind) -> None:
 def _add(kind: Kind) -> None:
     """Add a kind whose name and functions are known to be right, as those of calib itself are by its tests."""
     _KINDS[kind.name] = kind
-
-
-def _check_new(kind: Kind) -> None:
-    """Check that the name of a kind and those of its columns are not taken; CalibError if they are."""
-    columns = readings()
-    if kind.name in _KINDS:
-        raise CalibError(f"There is a kind '{kind.name}' already; rename yours.")
-    for reading in kind.readings:
-        if columns.get(reading.name, reading) != reading:
-            raise CalibError(
-                f"The column '{reading.name}' belongs to another kind and is read differently there (quantity or "
-                f"sign); rename that of '{kind.name}'."
-            )
 
 
 def names() -> tuple[str, ...]:

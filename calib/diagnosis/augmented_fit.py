@@ -178,24 +178,11 @@ def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
 
 
 def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> float:
-    """Return the rms error of blocks of rows, each predicted by a fit to the others, in units of the noise.
-
-    ``linear`` is the problem of the fit, perhaps with additional unknowns; ``weights`` of the N rows, shape (N,).
-    """
-    problem, rows = fitted.estimate.problem, fitted.estimate.problem.rows
+    """Return the rms error of blocks of rows, each predicted by a fit to the others, in units of the noise."""
+    rows = fitted.estimate.problem.rows
     block = np.arange(len(rows)) * _BLOCKS // len(rows)
     masks = block == np.unique(block)[:, None]
-
-    # Fits without the rows of each mask, at noise and priors of the fit to all rows; additional unknowns have no prior.
-    additional = len(linear.x) - problem.size
-    precision = np.pad(problem.prior_precision, (0, additional))
-    mean = np.pad(problem.prior_mean, (0, additional))
-    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
-    without_block = np.where(masks, 0.0, weights)
-    fits = linear.fit(without_block, problem.stop_shares, noise, GaussianPriors(precision, mean))
-    residuals = linear.residual(fits[0]) / linear.noise_by_scalar(noise)
-
-    # Rows whose frame and target other blocks see too.
+    residuals = _residuals_without_blocks(fitted, linear, weights, masks)
     weighted = weights > 0.0
     squares = []
     for mask, residual in zip(masks, residuals, strict=True):
@@ -205,3 +192,21 @@ def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> f
         squares.append(residual[predictable[:, None] & rows.used] ** 2)
     every = np.concatenate(squares)
     return float(np.sqrt(np.mean(every))) if len(every) else 0.0
+
+
+def _residuals_without_blocks(
+    fitted: Fitted, linear: LinearProblem, weights: Array, masks: Mask
+) -> Array:
+    """Return the residuals of fits without one block of rows each, at noise and priors of the fit to all rows.
+
+    ``linear`` is the problem of the fit, perhaps with additional unknowns, ``masks``, shape (B, N), are the rows of
+    each block. The residuals of all rows, over the noise of each scalar, are of the shape (B, N, D).
+    """
+    problem = fitted.estimate.problem
+    additional = len(linear.x) - problem.size
+    precision = np.pad(problem.prior_precision, (0, additional))
+    mean = np.pad(problem.prior_mean, (0, additional))
+    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
+    without_block = np.where(masks, 0.0, weights)
+    fits = linear.fit(without_block, problem.stop_shares, noise, GaussianPriors(precision, mean))
+    return np.asarray(linear.residual(fits[0]) / linear.noise_by_scalar(noise))

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib.basics.arguments import check_path, check_type
 from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.values import Value, shown_by
+from calib.data.cell import Cell
 from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
@@ -476,6 +477,21 @@ class Calibration(Value):
             check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
             return self.robot.poses(q)
         return self.non_geometric.tips(self.samples(q, payload=payload))
+
+    def complete_cell(self, cell: Cell) -> Cell:
+        """Return a cell with the cameras and boards that the fit began with, if it gives none of its own.
+
+        Args:
+            cell: As given for other rows of this robot.
+
+        Returns:
+            The cell, with `ResultOptics.nominal_cameras` and `ResultOptics.nominal_boards` where it has none.
+        """
+        return replace(
+            cell,
+            cameras=cell.cameras or self.optics.nominal_cameras,
+            boards=cell.boards or self.optics.nominal_boards,
+        )
 
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
         """List the joint values that lie outside of the ranges that were fitted.

@@ -307,38 +307,13 @@ def result_table(c: Calibration) -> dict[str, Any]:
     Returns:
         The tables of docs/result-json.md, in SI units, the unit in the suffix of each key.
     """
-    table = nested(_derived_values(c) | _LAYOUT.entries(c))
-    if c.non_geometric is not None:
-        table["non_geometric"] |= {
-            "errors": table["errors"]["non_geometric"],
-            "model": _model_table(c.non_geometric.model),
-        }
-    table["plugins"] = plugins.plugin_tables(_registered_names(table))
-    return table
-
-
-def _registered_names(table: Json) -> dict[str, set[str]]:
-    """Return the names of families, kinds, solvers and parameter sets that a result uses, by the keys of `WORDS`."""
-    models = [table["model"]]
-    if table["non_geometric"] is not None:
-        models.append(table["non_geometric"]["model"])
-    families = {term["family"] for model in models for term in model["terms"]}
-    return {
-        "families": families - {*SETUP},
-        "kinds": {*table["rows"]["kinds"]},
-        "solvers": {table["solver"]["name"]},
-        "models": {model["set"].partition("+")[0] for model in models},
-    }
-
-
-def _derived_values(c: Calibration) -> dict[str, Any]:
-    """Return what the file has besides the attributes of a result, by its path: most of it for other programs."""
     robot, urdf = c.nominal, c.nominal.urdf
     target_given = c.setup.target_given[0]
     errors = {}
     for name, sets in c.errors.items():
         errors[name] = {rows: error_table(of_rows) for rows, of_rows in sets.items()}
-    return {
+    # What the file has besides the attributes of a result, by its path: most of it for other programs.
+    derived = {
         "schema": SCHEMA,
         "robot": {
             "name": robot.name,
@@ -360,6 +335,28 @@ def _derived_values(c: Calibration) -> dict[str, Any]:
         "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),
         "inputs.measurements.rows": len(c.rows),
         "versions": versions(),
+    }
+    table = nested(derived | _LAYOUT.entries(c))
+    if c.non_geometric is not None:
+        table["non_geometric"] |= {
+            "errors": table["errors"]["non_geometric"],
+            "model": _model_table(c.non_geometric.model),
+        }
+    table["plugins"] = plugins.plugin_tables(_registered_names(table))
+    return table
+
+
+def _registered_names(table: Json) -> dict[str, set[str]]:
+    """Return the names of families, kinds, solvers and parameter sets that a result uses, by the keys of `WORDS`."""
+    models = [table["model"]]
+    if table["non_geometric"] is not None:
+        models.append(table["non_geometric"]["model"])
+    families = {term["family"] for model in models for term in model["terms"]}
+    return {
+        "families": families - {*SETUP},
+        "kinds": {*table["rows"]["kinds"]},
+        "solvers": {table["solver"]["name"]},
+        "models": {model["set"].partition("+")[0] for model in models},
     }
 
 
@@ -442,12 +439,20 @@ def read_result(path: str | Path) -> Calibration:
 
 def _calibration(table: Json, folder: Path) -> Calibration:
     """Return a result from its tables; meshes are looked for beside the URDF, if that is in the file's folder."""
-    nominal = _nominal(table, folder)
+    # The nominal robot, with its base, tip, held joint values and coupled readings.
+    robot, stored = table["robot"], table["inputs"]["urdf"]
+    data = stored["text"].encode("utf-8", "surrogateescape")
+    urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
+    held = {row["joint"]: float(row["value"]) for row in robot["held"]}
+    coupling = coupling_of_table(robot.get("coupling", ()))  # files of earlier versions have none
+    nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held, coupling=coupling)
+
     geometry = FittedModel(**_model_values(FittedModel, table, nominal))
     non_geometric = None
     if table["non_geometric"] is not None:
         values = _model_values(NonGeometric, table["non_geometric"], nominal)
         non_geometric = NonGeometric(**values)
+
     parts = _LAYOUT.values(Calibration, table, excluded=("geometry", "non_geometric"))
     lengths = len(parts["rows"].ranges), len(parts["rows"])
     if lengths != (len(nominal.joint_names), table["inputs"]["measurements"]["rows"]):
@@ -479,16 +484,6 @@ def result_of(given: ResultInput, argument: str = "calibration") -> Calibration:
 def is_result_file(given: object) -> TypeGuard[str | Path]:
     """Return whether a path means a result, by its ending ``.json``; other paths and names mean robots."""
     return isinstance(given, (str, Path)) and Path(given).suffix.lower() == ".json"
-
-
-def _nominal(table: Json, folder: Path) -> Robot:
-    """Return the nominal robot, its base, tip, held joint values and coupled readings, from the tables of a result."""
-    robot, stored = table["robot"], table["inputs"]["urdf"]
-    data = stored["text"].encode("utf-8", "surrogateescape")
-    urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
-    held = {row["joint"]: float(row["value"]) for row in robot["held"]}
-    coupling = coupling_of_table(robot.get("coupling", ()))  # files of earlier versions have none
-    return Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held, coupling=coupling)
 
 
 def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[str, Any]:

@@ -10,8 +10,7 @@ import numpy as np
 
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.show.lines import listed, mm, plural
-from calib.show.sizes import absurd_size, sizes_of
-from calib.show.words import joint_unit
+from calib.show.words import absurd_size, joint_unit, sizes_of
 
 _DEG = float(np.degrees(1.0))
 

@@ -213,7 +213,7 @@ def view_of_result(
     Returns:
         The view; its errors are those of `calib.evaluate`.
     """
-    cell = result.optics.given_to(cell or Cell())
+    cell = result.complete_cell(cell or Cell())
     before = result.uncorrected(robot)
     after = result.corrected(robot)
     if table is None:
