@@ -31,7 +31,6 @@ from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel, NonGeometric
-from calib.result.image_errors import metres_per_pixel
 from calib.result.joint_zeros import joint_zeros
 from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
 from calib.result.result_optics import result_optics
@@ -246,6 +245,11 @@ def _result_rows(
     is_outlier = m.estimation & (scores > estimate.flag_limit)
     is_suspect = m.validation & (scores > suspect_limit)
 
+    metres_per_pixel = None
+    if np.any(all_rows.is_image):
+        sightings = geometry.kinematics.sightings(estimate.x, all_rows.samples)
+        metres_per_pixel = all_rows.lengths_per_unit(sightings)
+
     q = all_rows.joints
     low = q[weights > 0.0].min(axis=0, initial=np.inf)
     high = q[weights > 0.0].max(axis=0, initial=-np.inf)
@@ -268,7 +272,7 @@ def _result_rows(
         suspects=_flagged(m, all_rows.channels, residual, scores, is_suspect),
         ranges=read_only(np.stack([low, high], axis=1)),
         outside=outside(q[m.estimation], q[m.validation], robot.joint_names, types),
-        metres_per_pixel=metres_per_pixel(geometry, all_rows),
+        metres_per_pixel=metres_per_pixel,
     )
 
 

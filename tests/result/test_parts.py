@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.basics.channels import Channels
 from calib.result.calibrate import calibrate
+from calib.result.parts import errors_at_board
 from tests.images import BOARD, arm, cell, poses, table
 
 
@@ -18,6 +20,16 @@ def test_images_are_counted_where_all_rows_are_corners(default_result):
     assert rows.images_of(rows.estimation) == 2
     assert rows.images_of(np.ones(4, dtype=bool)) == 0  # one is not a corner
     assert replace(rows, images=()).images_of(rows.estimation) == 0
+
+
+def test_lengths_are_pixels_times_their_length():
+    measured = np.array([[True, True], [True, True], [False, False]])
+    residual = np.array([[3.0, 4.0], [0.0, 1.0], [9.0, 9.0]])
+    scale = np.array([1e-3, 2e-3, np.nan])
+    errors = errors_at_board(residual, Channels.of_unit(measured, "px"), scale)["m"]
+    assert errors.n == 2
+    assert errors.max == pytest.approx(5e-3)
+    assert errors.mean == pytest.approx(3.5e-3)
 
 
 def test_errors_of_images_are_lengths_at_the_board():
