@@ -149,7 +149,7 @@ def _kinds(
     *,
     points_elsewhere: bool,
 ) -> tuple[str, ...]:
-    """Return the kinds of the rows: as given, by the column ``kind``, or by the columns there are."""
+    """Return the names of the kinds of the rows: ``kind`` if given, those in the column ``kind``, or by the columns."""
     if kind is not None:
         return (registry.get(kind).name,)
     known = registry.names()
@@ -192,7 +192,7 @@ def _blocks(
     *,
     points_elsewhere: bool,
 ) -> dict[str, Columns]:
-    """Return the columns of numbers that rows of the present kinds use, by what they hold."""
+    """Return the columns of numbers that rows of the present kinds use, by what they hold, as `Layout.blocks`."""
     covariances: Columns = ()
     given = [name for name in COVARIANCE if name in named]
     if given and any(kind.may_have_covariance for kind in present):

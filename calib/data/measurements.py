@@ -184,7 +184,7 @@ class Measurements(Value):
         fill("sigma", ReadOnlyMapping(sigma))
 
     def _labels(self) -> RowLabels:
-        """Return what messages call the rows."""
+        """Return the names of rows, kinds and joints, for the messages of checks."""
         return RowLabels(self.source, self.rows, self.kinds, self.joint_names)
 
     # Reading

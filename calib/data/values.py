@@ -123,7 +123,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
 
 
 def _of_kinds(layout: Layout, kinds: Words, attribute: str) -> Mask:
-    """Mark the rows of kinds with a true attribute of `Kind`, ``"paired"``, shape (rows,)."""
+    """Mark the rows whose kind has a true attribute of `Kind`, such as ``"paired"``, shape (rows,)."""
     chosen = [name for name in layout.kinds if getattr(registry.get(name), attribute)]
     return np.isin(kinds, chosen)
 
@@ -188,7 +188,7 @@ def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -
 
 
 def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
-    """Refuse a cell, of a row from 0, that should hold a finite number."""
+    """Raise `MeasurementError` on a cell, of a row from 0, that should hold a finite number, with what it holds."""
     text = table.cells[row][column.index][:_QUOTED]
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
@@ -213,7 +213,7 @@ def _check_words(
     kinds: Words,
     measured: Mask,
 ) -> None:
-    """Refuse row numbers that are none, and empty words in rows that must have one."""
+    """Raise `MeasurementError` if a row number is not whole, or a word is empty in a measured row that needs one."""
     for i, text in enumerate(words.get("row", ())):
         if not _WHOLE.fullmatch(text):
             what = f"'{text}' is not a whole number. Number the rows."
@@ -233,7 +233,7 @@ def _check_words(
 
 
 def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mask) -> None:
-    """Refuse words of the column ``set``, one a row, that are no set in a measured row."""
+    """Raise `MeasurementError` if a measured row has a word in the column ``set`` that does not name a set."""
     for word in set(sets) - set(SETS):
         column = layout.words["set"]
         what = (
@@ -246,7 +246,7 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
 
 
 def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
-    """Return joints and arrays of `Measurements`, from blocks of ``count`` rows in SI units."""
+    """Return joints and arrays as arguments of `Measurements`, from blocks of ``count`` measured rows (SI units)."""
     joint_names = [column.name for column in layout.blocks["joints"]]
     torques: Array | None = None
     if "torques" in si:  # NaN of joints without a column

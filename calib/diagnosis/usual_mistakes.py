@@ -257,7 +257,7 @@ def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
 
 
 def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
-    """Return whether the orientations of poses are far off in a trial of other joint values."""
+    """Return whether the orientations of the rows speak against a trial of other joint values."""
     is_of_joints = trial.rows.measured.shape[0] == poses.measured.shape[0] and np.array_equal(
         trial.rows.measured, poses.measured[:, :3]
     )
@@ -309,7 +309,7 @@ def _some_rows(table: Measurements) -> Measurements:
 
 
 def _as_points(rows: Rows) -> Rows:
-    """Copy poses as the points of their positions."""
+    """Copy rows of poses as rows of the kind ``point``, with their positions only."""
     kind = np.zeros(len(rows), dtype=np.int_)
     points = rows.measured[:, :3]
     return replace(rows, kinds=(registry.get("point"),), kind=kind, measured=points)

@@ -164,7 +164,7 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
 
 
 def _doubts(evidence: Evidence, role: Role) -> list[Reason]:
-    """List the findings besides errors that have a role in this verdict."""
+    """List the findings besides errors whose role in the verdict on this evidence is the given one."""
     return [doubt for doubt in evidence.doubts if _role(doubt, evidence) is role]
 
 
@@ -185,7 +185,7 @@ def _role(doubt: Reason, evidence: Evidence) -> Role:
 
 
 def _applicable(*rules: tuple[bool, Reason]) -> list[Reason]:
-    """List the reasons whose condition holds, in their order."""
+    """List the reasons of those rules, each a condition and a reason, whose condition holds, in their order."""
     return [reason for holds, reason in rules if holds]
 
 
@@ -222,7 +222,7 @@ def _has_better(evidence: Evidence) -> bool:
 
 
 def _better(why: Why, evidence: Evidence) -> Reason:
-    """Make a reason with the remaining error, and that of the non-geometric model if it is far less."""
+    """Make a reason ``why`` with the remaining error, and that of the non-geometric model if it is far less."""
     values: dict[str, Any] = {**_both(evidence), "remains": evidence.remains_held_out}
     if _has_better(evidence) and evidence.non_geometric is not None:
         model, less = evidence.non_geometric
@@ -231,10 +231,10 @@ def _better(why: Why, evidence: Evidence) -> Reason:
 
 
 def _is_absurd(errors: Errors) -> bool:
-    """Return whether errors are beyond any uncalibrated arm, in a unit other than of orientations."""
+    """Return whether the rms error in a unit other than of orientations is beyond any uncalibrated arm."""
     return any(_exceeds(errors[unit].rms, unit) for unit in errors.units)
 
 
 def _exceeds(value: float, unit: str) -> bool:
-    """Return whether an error or noise is beyond any arm and instrument; orientations have a rule of their own."""
+    """Return whether an error or noise, in its SI unit or [px], is beyond any arm; never for orientations."""
     return unit != _ANGLE.symbol and value > RESIDUAL_UNITS[unit].absurd

@@ -231,7 +231,10 @@ def _assemble(
 def _result_rows(
     measurements: Measurements, fits: TableFits, residual_nominal: Array
 ) -> ResultRows:
-    """Return names, residuals, scores and weights of all rows by the fit of the geometry."""
+    """Return names, residuals, scores and weights of all N rows by the fit of the geometry.
+
+    ``residual_nominal``, shape (N, D), is measured minus predicted by the nominal robot.
+    """
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
     robot, estimate = geometry.task.robot, geometry.estimate
     residual = geometry.residual(all_rows)
@@ -279,7 +282,7 @@ def _result_rows(
 def _flagged(
     measurements: Measurements, channels: Channels, residual: Array, scores: Array, flagged: Mask
 ) -> tuple[Outlier, ...]:
-    """List flagged rows in the table's order, each with the norm of its residual in each unit that it measures."""
+    """List flagged rows (a mask, (N,)) in the table's order, with the norm of their residual in each measured unit."""
     norms = {unit: channels.norms(residual, unit) for unit in channels.present}
     result = []
     for i in np.flatnonzero(flagged).tolist():

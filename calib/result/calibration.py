@@ -575,7 +575,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:
-    """Return the joints whose origins differ by more than rounding."""
+    """Return the names of the joints whose origins differ from a reference robot's by more than rounding."""
     origins = reference.origins()
     return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
 

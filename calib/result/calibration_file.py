@@ -61,12 +61,12 @@ RESULT = "a Calibration, or the path of a result file (.json)"
 
 
 def error_table(errors: Errors) -> dict[str, Any]:
-    """Return the table of errors of one set of rows, by the units that were measured; see docs/result-json.md."""
+    """Return errors of one set of rows as a table by the units that were measured; see docs/result-json.md."""
     return {unit: _LAYOUT.table(figures) for unit, figures in errors.by_unit.items()}
 
 
 def _read_errors(table: Json) -> Errors:
-    """Return errors from their tables by unit, as `error_table` makes them."""
+    """Return errors of one set of rows from their table by unit, as `error_table` makes it."""
     by_unit = {}
     for unit, figures in table.items():
         by_unit[unit] = UnitErrors(unit=unit, **_LAYOUT.values(UnitErrors, figures))
@@ -74,7 +74,7 @@ def _read_errors(table: Json) -> Errors:
 
 
 def _read_channels(table: Json) -> Channels:
-    """Return the channels of residuals' entries from their units, and the index of each entry's."""
+    """Return the channels of residuals from a table of their units and of the channel of each entry, (N, D)."""
     units = tuple(residual_unit(unit).symbol for unit in table["units"])
     index = np.array(table["index"], dtype=np.int8)
     return Channels(units, tuple(table["vectors"]), index.reshape(len(index), -1))
@@ -100,12 +100,12 @@ def _prior_std_key(family: str) -> str:
 
 
 def _prior_std_table(prior_std: Mapping[str, float]) -> dict[str, float]:
-    """Return prior standard deviations by the family's name with its unit, in place of its name."""
+    """Return prior standard deviations of families, by name, as a table by `_prior_std_key`."""
     return {_prior_std_key(family): std for family, std in prior_std.items()}
 
 
 def _read_prior_std(table: Json) -> dict[str, float]:
-    """Return prior standard deviations by family, of those families that the table has."""
+    """Return prior standard deviations by the family's name, from a table by `_prior_std_key`."""
     keys = {family: _prior_std_key(family) for family in FAMILIES}
     return {family: float(table[key]) for family, key in keys.items() if key in table}
 
@@ -125,7 +125,7 @@ def _read_ranges(table: Any) -> Array:  # noqa: ANN401  any JSON
 
 
 def _read_intrinsics(entries: Sequence[float | None] | None) -> Array | None:
-    """Return numbers of a camera from their list, `UNKNOWN` for null in it: infinity."""
+    """Return numbers of a camera, or their standard deviations, from a list; null in it is `UNKNOWN`, infinity."""
     if entries is None:
         return None
     return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
@@ -141,7 +141,7 @@ def _cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
 
 
 def _read_cameras(table: Iterable[Json]) -> Mapping[str, Camera]:
-    """Return cameras from their list."""
+    """Return cameras by the names of their stations, from a list as `_cameras_table` makes it."""
     return ReadOnlyMapping({row["station"]: _LAYOUT.read(Camera, row) for row in table})
 
 
@@ -155,7 +155,7 @@ def _boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
 
 
 def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
-    """Return printed boards from their list."""
+    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it."""
     boards = {}
     for row in table:
         arguments = {field.name: row[json_key(field)] for field in fields(Board)}
@@ -489,8 +489,20 @@ def is_result_file(given: object) -> TypeGuard[str | Path]:
 def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[str, Any]:
     """Return the arguments of a fitted model, geometric or not, from its table; its kinematics follow from them."""
     values = _LAYOUT.values(kind, table)
-    names = [parameter.name for parameter in values["parameters"]]
-    model = _model_of(table["model"], names)
+
+    # The error model, see `_model_table`; its parameters are in the order of x.
+    of_model = table["model"]
+    terms = tuple(_LAYOUT.read(Parameter, term) for term in of_model["terms"])
+    by_name = {term.name: term for term in terms}
+    parameters = tuple(by_name[estimate.name] for estimate in values["parameters"])
+    name, places = of_model["set"], tuple(of_model["places"])
+    if of_model["mixing"] is not None:
+        mixing = np.array(of_model["mixing"], dtype=np.float64).reshape(len(terms), len(parameters))
+        model = ErrorModel(name, places, parameters, terms, read_only(mixing))
+    elif parameters == terms:
+        model = ErrorModel(name, places, terms)
+    else:
+        raise ValueError("'parameters' and 'model.terms' name other parameters")
 
     # No number of parameters, covariance, frames or targets may be missing (NaN).
     x, covariance, setup = values["x"], values["covariance"], values["setup"]
@@ -527,17 +539,3 @@ def _model_table(model: ErrorModel) -> dict[str, Any]:
     mixing = None if model.terms is model.parameters else model.mixing
     terms = [_LAYOUT.table(term) for term in model.terms]
     return {"set": model.name, "places": model.places, "terms": terms, "mixing": mixing}
-
-
-def _model_of(table: Json, names: Sequence[str]) -> ErrorModel:
-    """Return an error model from its table, the parameters of these names in the order of x; see `_model_table`."""
-    terms = tuple(_LAYOUT.read(Parameter, term) for term in table["terms"])
-    by_name = {term.name: term for term in terms}
-    parameters = tuple(by_name[name] for name in names)
-    places = tuple(table["places"])
-    if table["mixing"] is not None:
-        mixing = np.array(table["mixing"], dtype=np.float64).reshape(len(terms), len(names))
-        return ErrorModel(table["set"], places, parameters, terms, read_only(mixing))
-    if parameters != terms:
-        raise ValueError("'parameters' and 'model.terms' name other parameters")
-    return ErrorModel(table["set"], places, terms)

@@ -88,7 +88,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
 
 def _is_named_model(result: Calibration) -> bool:
-    """Return whether the user named the model, so that no larger one was tried."""
+    """Return whether the user of a result named its model, so that no larger one was tried."""
     return not result.method.candidates and has_weights_and_priors(result.method.solver)
 
 
