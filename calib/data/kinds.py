@@ -183,11 +183,10 @@ class Kind(Value):
             raise CalibError(
                 f"The kind '{self.name}' measures an orientation: its three units 'rad' follow those of the position."
             )
-        if self.residual is None:
-            self._check_units_of_readings()
+        if self.residual is not None:
+            return
 
-    def _check_units_of_readings(self) -> None:
-        """Check that the units are those of what is measured, from which the prediction is subtracted."""
+        # The prediction is subtracted from what is measured, in the same units.
         if self.orientation:
             raise CalibError(
                 f"The kind '{self.name}' measures an orientation, which cannot be subtracted; give a 'residual'."

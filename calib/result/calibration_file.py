@@ -99,23 +99,10 @@ def _prior_std_key(family: str) -> str:
     return f"{family}_{FAMILIES[family].unit.key}"
 
 
-def _prior_std_table(prior_std: Mapping[str, float]) -> dict[str, float]:
-    """Return prior standard deviations of families, by name, as a table by `_prior_std_key`."""
-    return {_prior_std_key(family): std for family, std in prior_std.items()}
-
-
 def _read_prior_std(table: Json) -> dict[str, float]:
     """Return prior standard deviations by the family's name, from a table by `_prior_std_key`."""
     keys = {family: _prior_std_key(family) for family in FAMILIES}
     return {family: float(table[key]) for family, key in keys.items() if key in table}
-
-
-def _ties_table(ties: Mapping[str, tuple[str, float]]) -> list[dict[str, Any]]:
-    """Return tied parameters as a list, a row for each: x_name = factor x_other."""
-    table = []
-    for name, (other, factor) in ties.items():
-        table.append({"name": name, "other": other, "factor": factor})
-    return table
 
 
 def _read_ranges(table: Any) -> Array:  # noqa: ANN401  any JSON
@@ -164,7 +151,11 @@ def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
 
 
 #: The prior standard deviations of families.
-_PRIOR_STD = Key("prior_std", _prior_std_table, _read_prior_std)
+_PRIOR_STD = Key(
+    "prior_std",
+    lambda prior_std: {_prior_std_key(family): std for family, std in prior_std.items()},
+    _read_prior_std,
+)
 
 #: Where attributes stand in the file, by class: each has its own name as its key unless it is listed. None: not in the
 #: file by itself; a path that ends in a dot, or an empty one: the part's keys stand among the others. See `JsonLayout`.
@@ -228,7 +219,10 @@ _LAYOUT: JsonLayout = JsonLayout(
             "frozen": "model.frozen",
             "ties": Key(
                 "model.ties",
-                _ties_table,
+                lambda ties: [
+                    {"name": name, "other": other, "factor": factor}
+                    for name, (other, factor) in ties.items()
+                ],
                 lambda table: {row["name"]: (row["other"], float(row["factor"])) for row in table},
             ),
             "prior_std_from": "noise.prior_std_from",

@@ -92,6 +92,11 @@ class ResultRows(Value):
         return ~self.estimation
 
     @property
+    def flagged(self) -> Mask:
+        """True for the flagged rows, outliers among the estimation rows and suspects among the others, shape (N,)."""
+        return np.isin(self.numbers, [outlier.row for outlier in (*self.outliers, *self.suspects)])
+
+    @property
     def nominal_is_judged(self) -> bool:
         """True unless a measurement frame was sought and not found: then the nominal robot has no known errors."""
         return not np.isnan(self.residual_nominal).any()

@@ -1,4 +1,4 @@
-"""The rows of a result: their images, and their errors at the board."""
+"""The rows of a result: their images, flags, and errors at the board."""
 
 from __future__ import annotations
 
@@ -60,3 +60,10 @@ def test_without_images_there_are_no_errors_at_the_board(default_result):
     c = default_result
     assert c.rows.errors_at_board == {}
     assert c.rows.held_out_errors_at_board(c.cross_validation) is None
+
+
+def test_flagged_are_outliers_and_suspects(calibrations):
+    c = calibrations.made("with_outliers")
+    flagged = {outlier.row for outlier in (*c.rows.outliers, *c.rows.suspects)}
+    assert flagged
+    assert {c.fit.measurements.rows[k] for k in np.flatnonzero(c.rows.flagged)} == flagged
