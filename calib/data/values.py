@@ -63,6 +63,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
     blocks = _used_numbers(table, layout, kinds)
     measured = _measured_rows(table, layout, blocks, kinds)
+
     count = len(table.cells)
     if not count:
         raise MeasurementError(f"{table.source}: there is a header, but no row below it.")

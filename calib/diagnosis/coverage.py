@@ -100,6 +100,7 @@ def outside(
     """
     if not len(measured) or not len(queried):
         return ()
+
     # Distances from the nearer end of the range, 0 inside; of a continuous joint along the circle.
     distances, spans = np.zeros(queried.shape), np.zeros(len(names))
     for j, kind in enumerate(types):

@@ -306,6 +306,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
     errors = {}
     for name, sets in c.errors.items():
         errors[name] = {rows: error_table(of_rows) for rows, of_rows in sets.items()}
+
     # What the file has besides the attributes of a result, by its path: most of it for other programs.
     derived = {
         "schema": SCHEMA,
