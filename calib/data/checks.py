@@ -1,4 +1,4 @@
-"""Checks of what rows of measurements hold: numbers in range, rotations, words, and complete pairs and groups."""
+"""Checks of rows of measurements: words, numbers in range, rotations, covariances, complete pairs and groups."""
 
 from __future__ import annotations
 
@@ -25,10 +25,20 @@ from calib.basics.tables import Table
 from calib.data.columns import SETS, WORD_COLUMNS, reserved
 from calib.data.forms.column_options import ColumnOptions
 from calib.errors import MeasurementError, choices
+from calib.numerics.correlated_noise import POSE
 from calib.numerics.geometry import FARTHEST, not_rotations
 
 #: Two rows of a pair that both give its distance give the same to all digits of a table [m].
 _AGREE_M = 1e-9
+
+#: Least and largest entry of a covariance [m^2, m rad, rad^2].
+_COVARIANCES = (-(registry.SIGMAS[1] ** 2), registry.SIGMAS[1] ** 2)
+
+#: Difference of a correlation from that of the same two numbers, in digits that a table may have.
+_SYMMETRIC = 1e-4
+
+#: The order and the units of the entries of a covariance, for messages.
+_ENTRIES_ARE = "It has x, y, z [m] and the rotations about x, y, z [rad], row by row."
 
 #: Most rows that a message lists.
 _LISTED_ROWS = 8
@@ -311,6 +321,58 @@ def check_torques(labels: RowLabels, torques: Array) -> None:
         row, joint = missing[0].tolist()
         what = "has no torque here and has one in other rows; give all of them, or none"
         labels.fail(row, f"joint '{labels.joint_names[joint]}' {what}")
+
+
+def checked_covariances(labels: RowLabels, values: ArrayLike | None, poses: Mask) -> Array | None:
+    """Return a checked, read-only copy of the covariances of measured poses.
+
+    Args:
+        labels: The N rows, for messages.
+        values: shape (N, 6, 6) [m^2, m rad, rad^2], NaN in rows without one; None: not given.
+        poses: Which rows may have one, shape (N,).
+
+    Returns:
+        The covariances, symmetric to the last bit, NaN in other rows; None if no row has one.
+
+    Raises:
+        MeasurementError: Another shape, or a matrix that is not symmetric or not positive definite, that lacks some of
+            its numbers, or has a standard deviation that no instrument has.
+    """
+    if values is None:
+        return None
+    given = numbers("covariances", values, "of shape (N, 6, 6)")
+    shape = (len(labels.rows), POSE, POSE)
+    if given.shape != shape:
+        raise MeasurementError(
+            f"{labels.name}: 'covariances' has shape {given.shape} and should have {shape}"
+        )
+    with_one = ~np.isnan(given).all(axis=(1, 2)) & poses
+    checked = checked_numbers(labels, "covariances", given, (POSE, POSE), with_one, _COVARIANCES)
+    if checked is None:
+        return None
+
+    for i in np.flatnonzero(with_one).tolist():
+        C = checked[i]
+        if not np.any(C):
+            labels.fail(i, "the covariance is zero; leave out the columns if it is not known")
+        std = np.sqrt(np.maximum(np.diagonal(C), 0.0))
+        if not np.all((std >= registry.SIGMAS[0]) & (std <= registry.SIGMAS[1])):
+            allowed = f"{registry.SIGMAS[0]:g} to {registry.SIGMAS[1]:g}, in SI units"
+            labels.fail(
+                i,
+                f"a standard deviation of the covariance is not from {allowed}. {_ENTRIES_ARE} Write numbers with an "
+                "exponent, 1.234567e-08.",
+            )
+        correlation = C / np.outer(std, std)
+        if np.max(np.abs(correlation - correlation.T)) > _SYMMETRIC:
+            labels.fail(i, f"the covariance is not symmetric. {_ENTRIES_ARE}")
+        if np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] <= 0.0:
+            labels.fail(
+                i,
+                f"the covariance is not positive definite. {_ENTRIES_ARE} Are all entries in this order, and written "
+                "with six digits or more?",
+            )
+    return read_only(0.5 * (checked + checked.transpose(0, 2, 1)))
 
 
 # Complete pairs and groups

@@ -88,7 +88,18 @@ def check_functions(kind: Checked) -> None:
     """
     if kind.measure is None and kind.size:
         return
-    poses = _generic_poses(2 if kind.paired else 1)
+
+    # Random poses of one target or of both rows of a pair, (n, rows, 4, 4), the same in each call.
+    rng = np.random.default_rng(0)
+    rows = 2 if kind.paired else 1
+    count = _COUNT * rows
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(rng.normal(size=(count, 4))).as_matrix()
+    poses[:, :3, 3] = directions * rng.uniform(*_DISTANCES, (count, 1))
+    poses = poses.reshape(_COUNT, rows, 4, 4)
+
     T = _at_rows(kind, poses)
     measured = np.zeros((len(T), 0))
     if kind.measure is not None:
@@ -126,18 +137,6 @@ def check_functions(kind: Checked) -> None:
                 f"{_motion(kind, fault.parameter)} it is {fault.given:.3g}, the difference {fault.expected:.3g}. "
                 "Check its sign and terms: it is that of 'measure', or minus that of 'residual'."
             )
-
-
-def _generic_poses(rows: int) -> Array:
-    """Return random poses of targets, the same in each call, for 1 or 2 ``rows``: shape (n, rows, 4, 4) [m]."""
-    rng = np.random.default_rng(0)
-    count = _COUNT * rows
-    directions = rng.normal(size=(count, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    T = np.tile(np.eye(4), (count, 1, 1))
-    T[:, :3, :3] = Rotation.from_quat(rng.normal(size=(count, 4))).as_matrix()
-    T[:, :3, 3] = directions * rng.uniform(*_DISTANCES, (count, 1))
-    return T.reshape(_COUNT, rows, 4, 4)
 
 
 def _at_rows(kind: Checked, values: Array) -> Array:

@@ -38,6 +38,7 @@ from calib.data.kind_check import check_functions
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.internals import Internals, InternalValues, StatedSize
+from calib.numerics.correlated_noise import POSE_UNITS
 from calib.numerics.geometry import inverse_right_jacobian
 
 #: Least and largest standard deviation accepted for a measurement [m, rad or px]: no instrument is
@@ -172,25 +173,20 @@ class Kind(Value):
             raise CalibError(
                 f"The kind '{self.name}' measures a position: its first three units are those of x, y and z, 'm'."
             )
-        if self.orientation:
-            self._check_orientation()
-        if self.residual is None:
-            self._check_units_of_readings()
-
-    def _check_orientation(self) -> None:
-        """Check that the position is measured too, and that three angles, a rotation vector, follow its lengths."""
-        if not self.position:
+        if self.orientation and not self.position:
             raise CalibError(
                 f"The kind '{self.name}' measures an orientation, so it needs 'position' too; an orientation alone is "
                 "given as 'readings'."
             )
-        if self.units.count("rad") == 3 and self.units[3:6] != ("rad", "rad", "rad"):
+        is_rotation_vector = self.orientation and self.units.count("rad") == 3
+        if is_rotation_vector and self.units[3:6] != ("rad", "rad", "rad"):
             raise CalibError(
                 f"The kind '{self.name}' measures an orientation: its three units 'rad' follow those of the position."
             )
+        if self.residual is not None:
+            return
 
-    def _check_units_of_readings(self) -> None:
-        """Check that the units are those of what is measured, from which the prediction is subtracted."""
+        # The prediction is subtracted from what is measured, in the same units.
         if self.orientation:
             raise CalibError(
                 f"The kind '{self.name}' measures an orientation, which cannot be subtracted; give a 'residual'."
@@ -223,6 +219,11 @@ class Kind(Value):
         if self.turns is None:
             return self.orientation or "rad" in self.units
         return self.turns
+
+    @property
+    def may_have_covariance(self) -> bool:
+        """True if rows measure a position and an orientation, and nothing else: they may have a covariance."""
+        return self.orientation and self.units == POSE_UNITS
 
     @property
     def coordinates(self) -> bool:
@@ -328,7 +329,7 @@ class Kind(Value):
 
     @staticmethod
     def _further(internals: InternalValues | None) -> tuple[Array, ...]:
-        """Return the further arguments that internals are to the kind's functions."""
+        """Return the last argument of the kind's functions: values of the internals, (n, c); none without."""
         return () if internals is None else (internals.values,)
 
 
@@ -352,27 +353,22 @@ def register(kind: Kind) -> None:
             see `calib.data.kind_check.check_functions`.
     """
     check_type("kind", kind, Kind, "a Kind of calib.data.kinds")
-    _check_new(kind)
-    check_functions(kind)
-    _add(kind)
-
-
-def _add(kind: Kind) -> None:
-    """Add a kind whose name and functions are known to be right, as those of calib itself are by its tests."""
-    _KINDS[kind.name] = kind
-
-
-def _check_new(kind: Kind) -> None:
-    """Check that the name of a kind and those of its columns are not taken; CalibError if they are."""
-    columns = readings()
     if kind.name in _KINDS:
         raise CalibError(f"There is a kind '{kind.name}' already; rename yours.")
+    columns = readings()
     for reading in kind.readings:
         if columns.get(reading.name, reading) != reading:
             raise CalibError(
                 f"The column '{reading.name}' belongs to another kind and is read differently there (quantity or "
                 f"sign); rename that of '{kind.name}'."
             )
+    check_functions(kind)
+    _add(kind)
+
+
+def _add(kind: Kind) -> None:
+    """Add a kind to the registry without checks; those of calib itself are checked by its tests."""
+    _KINDS[kind.name] = kind
 
 
 def names() -> tuple[str, ...]:
@@ -400,34 +396,34 @@ def readings() -> dict[str, Reading]:
 
 
 def _position(T: Array) -> Array:
-    """Return the positions of poses (..., 4, 4), shape (..., 3) [m]."""
+    """Return the positions of poses T_frame_target (..., 4, 4), shape (..., 3) [m]."""
     return T[..., :3, 3]
 
 
 def _position_derivative(_measured: Array, _T: Array, twists: Array) -> Array:
-    """Return the derivative of a position, shape (n, 3, p)."""
+    """Return the derivative of a position by p parameters, from twists (n, 6 or 3, p): shape (n, 3, p) [m per unit]."""
     return twists[:, :3]
 
 
 def _pose_reading(T: Array) -> Array:
-    """Return position and rotation matrix, row after row, of poses, shape (n, 12)."""
+    """Return position [m] and rotation matrix, row after row, of poses T_frame_target (n, 4, 4), shape (n, 12)."""
     return np.hstack([_position(T), T[:, :3, :3].reshape(-1, 9)])
 
 
 def _rotation_error(measured: Array, T: Array) -> Rotation:
-    """Return M R^T, the rotations from the predicted to the measured orientation."""
+    """Return M R^T, the rotations from the orientations of poses T (n, 4, 4) to the measured ones in (n, 12)."""
     M = measured[:, 3:12].reshape(-1, 3, 3)
     return Rotation.from_matrix(M @ T[:, :3, :3].transpose(0, 2, 1))
 
 
 def _pose_residual(measured: Array, T: Array) -> Array:
-    """Return m - p and log(M R^T), shape (n, 6) [m] and [rad]."""
+    """Return m - p and log(M R^T) of measured (n, 12) and predicted poses T (n, 4, 4), shape (n, 6) [m] and [rad]."""
     shift = measured[:, :3] - _position(T)
     return np.hstack([shift, _rotation_error(measured, T).as_rotvec()])
 
 
 def _pose_derivative(measured: Array, T: Array, twists: Array) -> Array:
-    """Return the derivative of position and orientation, shape (n, 6, p).
+    """Return the derivative of position and orientation by p parameters, from twists (n, 6, p): shape (n, 6, p).
 
     A rotation w of the target along the frame's axes makes log(M R^T) of the residual to
     log(M R^T exp(-w)): the residual changes by -J w, the prediction by J w, with the inverse
@@ -446,12 +442,12 @@ def _unit(v: Array) -> Array:
 
 
 def _distance(T: Array) -> Array:
-    """Return the distances of the targets from the frame's origin, shape (n, 1) [m]."""
+    """Return the distances |p| of targets at poses T (n, 4, 4) from the frame's origin, shape (n, 1) [m]."""
     return np.asarray(np.linalg.norm(_position(T), axis=1, keepdims=True))
 
 
 def _distance_derivative(_measured: Array, T: Array, twists: Array) -> Array:
-    """Return the derivative of the distance from the frame's origin, shape (n, 1, p)."""
+    """Return the derivative of the distance at poses T (n, 4, 4), from twists (n, 6 or 3, p): shape (n, 1, p)."""
     along = _unit(_position(T))
     return np.asarray(np.einsum("ni,nip->np", along, twists[:, :3])[:, None])
 
@@ -463,7 +459,7 @@ def _pair_distance(T: Array) -> Array:
 
 
 def _pair_derivative(_measured: Array, T: Array, twists: Array) -> Array:
-    """Return the derivative of the distance between both rows of pairs, shape (n, 1, p)."""
+    """Return the derivative of |p_1 - p_2| of pairs T (n, 2, 4, 4), from twists (n, 2, 6 or 3, p): shape (n, 1, p)."""
     p = _position(T)
     along = _unit(p[:, 0] - p[:, 1])
     relative = twists[:, 0, :3] - twists[:, 1, :3]
@@ -471,7 +467,10 @@ def _pair_derivative(_measured: Array, T: Array, twists: Array) -> Array:
 
 
 def _anchor_frame(points: Array, measured: Array, T_frame_base: Array) -> Array:
-    """Locate an anchor from distances d: |p|^2 - d^2 = 2 p a - |a|^2, linear in (a, |a|^2)."""
+    """Return T_frame_base of a frame at an anchor a, from its distances d (n, 1) to points p (n, 3) of the base [m].
+
+    |p|^2 - d^2 = 2 p a - |a|^2 is linear in (a, |a|^2); the frame keeps the turn of the given T_frame_base.
+    """
     centre = points.mean(axis=0)
     p = points - centre
     A = np.column_stack([2.0 * p, -np.ones(len(p))])
@@ -481,7 +480,7 @@ def _anchor_frame(points: Array, measured: Array, T_frame_base: Array) -> Array:
 
 
 def _with_origin_at(T_frame_base: Array, point: Array) -> Array:
-    """Return T_frame_base, turned as it is, of a frame with its origin at a point of the base [m]."""
+    """Return T_frame_base (4, 4) of a frame turned as given, with its origin at a point (3,) of the base [m]."""
     T: Array = T_frame_base.copy()
     T[:3, 3] = -T[:3, :3] @ point
     return T
@@ -491,34 +490,34 @@ def _with_origin_at(T_frame_base: Array, point: Array) -> Array:
 
 
 def _socket_residual(_measured: Array, T: Array) -> Array:
-    """Return 0 - p, shape (n, 3) [m]: the socket is the frame's origin."""
+    """Return 0 - p of targets at poses T (n, 4, 4), shape (n, 3) [m]: the socket is the frame's origin."""
     return -_position(T)
 
 
 def _socket_frame(points: Array, _measured: Array, T_frame_base: Array) -> Array:
-    """Locate a socket: the mean of the targets' positions in the base."""
+    """Return T_frame_base of a frame in a socket: at the mean of the targets' positions (n, 3) in the base [m]."""
     return _with_origin_at(T_frame_base, points.mean(axis=0))
 
 
 def _plane_residual(_measured: Array, T: Array) -> Array:
-    """Return 0 - p_z, shape (n, 1) [m]: the plane is the frame's x-y plane."""
+    """Return 0 - p_z of targets at poses T (n, 4, 4), shape (n, 1) [m]: the plane is the frame's x-y plane."""
     return -T[:, 2:3, 3]
 
 
 def _plane_derivative(_measured: Array, _T: Array, twists: Array) -> Array:
-    """Return the derivative of the height over the plane, shape (n, 1, p)."""
+    """Return the derivative of the height p_z over the plane, from twists (n, 6 or 3, p): shape (n, 1, p)."""
     return twists[:, 2:3]
 
 
 def _fitted_plane(points: Array, _measured: Array, _T_frame_base: Array) -> Array:
-    """Locate a plane: the best fit to the targets' positions in the base."""
+    """Return T_frame_base of a frame in the plane that fits the targets' positions (n, 3) in the base [m] best."""
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre)[2][-1]
     return _plane_frame(normal, float(normal @ centre))
 
 
 def _settled_plane(T_frame_base: Array) -> Array:
-    """Choose position within the plane and turn about its normal as `_plane_frame` does."""
+    """Return T_frame_base of the same plane with origin and turn about its normal as `_plane_frame` chooses them."""
     return _plane_frame(T_frame_base[2, :3], -float(T_frame_base[2, 3]))
 
 
@@ -544,7 +543,10 @@ def _plane_frame(normal: Array, distance: float) -> Array:
 def _image_derivative(
     _measured: Array, T: Array, twists: Array, internals: Array
 ) -> tuple[Array, Array]:
-    """Return the derivatives of images by the parameters, shape (n, 2, p), and by the internals."""
+    """Return the derivatives of images [px] by p parameters, (n, 2, p), and by c internals (n, c), (n, 2, c).
+
+    ``T`` (n, 4, 4) and ``twists`` (n, 6, p) are poses and motions of the boards in their cameras.
+    """
     return optics.image_derivatives(T, twists, internals)
 
 

@@ -27,7 +27,6 @@ from calib.data.columns import (
     reserved,
     with_unit,
 )
-from calib.data.covariances import may_have_covariance
 from calib.data.forms.column_options import (
     ColumnOptions,
     ColumnsInput,
@@ -130,7 +129,13 @@ class Layout:
         used = {*of_words.values(), *groups}
         for block in blocks.values():
             used.update(block)
-        used.update(_unneeded(table, named, kinds, points_elsewhere=points_elsewhere))
+        # Not worth a warning are columns that only a plan needs, and a kind that was given.
+        used.update(named[name] for name in named if name.startswith(EXPECTED) or name == "point")
+        if "kind" in named and set(table.column(named["kind"])) <= set(kinds):
+            used.add(named["kind"])
+        if points_elsewhere:  # a plan leaves them empty in all rows
+            position = [named[name] for name in (*POINT, *ORIENTATION) if name in named]
+            used.update(column for column in position if not any(table.column(column)))
         indices = {column.index for column in used}
         ignored = [label for i, label in enumerate(table.header) if label and i not in indices]
         return cls(of_words, groups, blocks, kinds, tuple(ignored), orientation)
@@ -144,7 +149,7 @@ def _kinds(
     *,
     points_elsewhere: bool,
 ) -> tuple[str, ...]:
-    """Return the kinds of the rows: as given, by the column ``kind``, or by the columns there are."""
+    """Return the names of the kinds of the rows: ``kind`` if given, those in the column ``kind``, or by the columns."""
     if kind is not None:
         return (registry.get(kind).name,)
     known = registry.names()
@@ -187,10 +192,10 @@ def _blocks(
     *,
     points_elsewhere: bool,
 ) -> dict[str, Columns]:
-    """Return the columns of numbers that rows of the present kinds use, by what they hold."""
+    """Return the columns of numbers that rows of the present kinds use, by what they hold, as `Layout.blocks`."""
     covariances: Columns = ()
     given = [name for name in COVARIANCE if name in named]
-    if given and any(may_have_covariance(kind) for kind in present):
+    if given and any(kind.may_have_covariance for kind in present):
         missing = [name for name in COVARIANCE if name not in named]
         if missing:
             raise MeasurementError(
@@ -201,9 +206,19 @@ def _blocks(
         what = "a covariance, in SI units"
         covariances = tuple(with_unit(table, named[name], None, what) for name in COVARIANCE)
 
-    blocks: dict[str, Columns] = {"joints": joints, "torques": _torques(table, named, joints)}
+    # Torques of the joints that have a column, in the order of the joints.
+    torques = []
+    for joint in joints:
+        torque = named.get(joint.name + TORQUE)
+        if torque is None or torque in joints:
+            continue
+        quantity: Quantity = "force" if slides(joint) else "torque"
+        what = f"{'prismatic' if slides(joint) else 'revolute'} joint '{joint.name}'"
+        torques.append(with_unit(table, torque, quantity, what))
+
+    blocks: dict[str, Columns] = {"joints": joints, "torques": tuple(torques)}
     # Poses with a covariance have no other noise.
-    with_noise = [kind for kind in present if not (covariances and may_have_covariance(kind))]
+    with_noise = [kind for kind in present if not (covariances and kind.may_have_covariance)]
     for symbol, unit in RESIDUAL_UNITS.items():
         is_needed = any(symbol in kind.units for kind in with_noise)
         if is_needed and unit.sigma_name in named:
@@ -235,20 +250,6 @@ def _blocks(
             column = _needed(table, named, reading.name, reading.quantity, what)
             blocks[reading.name] = (column,)
     return blocks
-
-
-def _torques(table: Table, named: Named, joints: Columns) -> Columns:
-    """Return the columns of torques, of the joints that have one, in the order of the joints."""
-    result = []
-    for joint in joints:
-        column = named.get(joint.name + TORQUE)
-        if column is not None and column not in joints:
-            is_sliding = slides(joint)
-            kind = "prismatic" if is_sliding else "revolute"
-            quantity: Quantity = "force" if is_sliding else "torque"
-            what = f"{kind} joint '{joint.name}'"
-            result.append(with_unit(table, column, quantity, what))
-    return tuple(result)
 
 
 def slides(joint: Column) -> bool:
@@ -295,22 +296,6 @@ def _joints(
             f'--columns "name in the table={header}".'
         )
     return tuple(joint_with_unit(table, named[n], types.get(n), options) for n in joint_names)
-
-
-def _unneeded(
-    table: Table, named: Named, kinds: tuple[str, ...], *, points_elsewhere: bool
-) -> list[Column]:
-    """Return the columns that are not worth a warning: those that only a plan needs, and a ``kind`` that was given."""
-    columns = []
-    if "kind" in named and set(table.column(named["kind"])) <= set(kinds):
-        columns.append(named["kind"])
-    for name, column in named.items():
-        if name.startswith(EXPECTED) or name == "point":
-            columns.append(column)
-    if points_elsewhere:  # a plan leaves them empty in all rows
-        position = [named[name] for name in (*POINT, *ORIENTATION) if name in named]
-        columns += [column for column in position if not any(table.column(column))]
-    return columns
 
 
 def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:

@@ -31,6 +31,7 @@ from calib.data.checks import (
     check_rotations,
     check_torques,
     check_words,
+    checked_covariances,
     checked_numbers,
     checked_readings,
     mask_of_words,
@@ -38,16 +39,11 @@ from calib.data.checks import (
 from calib.data.columns import (
     BOARD_POINT,
     COMMON,
+    COVARIANCE,
     POINT,
     TORQUE,
     WORD_COLUMNS,
     cells_of,
-)
-from calib.data.covariances import (
-    checked_covariances,
-    covariance_columns,
-    may_have_covariance,
-    sigma_with_covariances,
 )
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
@@ -66,9 +62,6 @@ _MAPPINGS = ("sigma", "readings")
 
 #: Least and largest coordinate, joint value or reading [m or rad].
 _REACH = (-FARTHEST, FARTHEST)
-
-#: A column of numbers to be written: its name, its quantity (None: no unit), its values.
-_NumberColumn = tuple[str, Quantity | None, Array | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +171,7 @@ class Measurements(Value):
         if self.torques is not None:
             fill("torques", read_only(numbers("torques", self.torques, "of shape (N, n)")))
             check_torques(labels, self.torques)
-        poses = self.where(may_have_covariance)
+        poses = self.where(lambda kind: kind.may_have_covariance)
         fill("covariances", checked_covariances(labels, self.covariances, poses))
 
         sigma = {}
@@ -191,7 +184,7 @@ class Measurements(Value):
         fill("sigma", ReadOnlyMapping(sigma))
 
     def _labels(self) -> RowLabels:
-        """Return what messages call the rows."""
+        """Return the names of rows, kinds and joints, for the messages of checks."""
         return RowLabels(self.source, self.rows, self.kinds, self.joint_names)
 
     # Reading
@@ -339,7 +332,15 @@ class Measurements(Value):
 
         In rows with one of ``covariances`` it is theirs, rms over the axes.
         """
-        return sigma_with_covariances(self.sigma, self.covariances)
+        result = dict(self.sigma)
+        if self.covariances is None:
+            return result
+        variances = np.diagonal(self.covariances, axis1=1, axis2=2)
+        for symbol, of_unit in (("m", variances[:, :3]), ("rad", variances[:, 3:])):
+            std = np.sqrt(np.mean(of_unit, axis=1))
+            of_others = self.sigma.get(symbol, np.full(len(std), np.nan))
+            result[symbol] = read_only(np.where(np.isfinite(std), std, of_others))
+        return result
 
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """Mark the rows whose kind passes a test, such as ``lambda kind: kind.position``.
@@ -461,7 +462,7 @@ class Measurements(Value):
             if set(words) - {default}:
                 columns[name] = words
         for name, quantity, values in self._number_columns():
-            if values is None or (len(values) and np.isnan(values).all()):
+            if len(values) and np.isnan(values).all():
                 continue
             unit = "" if quantity is None else COMMON[quantity]
             header = f"{name} [{unit}]" if unit else name
@@ -469,8 +470,8 @@ class Measurements(Value):
         rows = [columns, *zip(*columns.values(), strict=True)]
         write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
-    def _number_columns(self) -> Iterator[_NumberColumn]:
-        """Yield the columns of numbers to write, in SI units; None or NaN for those without numbers."""
+    def _number_columns(self) -> Iterator[tuple[str, Quantity | None, Array]]:
+        """Yield name, quantity (None: no unit) and values, in SI units, of the columns of numbers to write."""
         for i, name in enumerate(self.joint_names):
             slides = name in self.prismatic
             yield name, "length" if slides else "angle", self.joints[:, i]
@@ -489,4 +490,7 @@ class Measurements(Value):
         for symbol, values in self.sigma.items():
             unit = RESIDUAL_UNITS[symbol]
             yield unit.sigma_name, unit.quantity, values
-        yield from covariance_columns(self.covariances)
+        if self.covariances is not None:
+            entries = self.covariances.reshape(len(self), len(COVARIANCE))
+            for name, values in zip(COVARIANCE, entries.T, strict=True):
+                yield name, None, values

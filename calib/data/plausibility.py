@@ -135,7 +135,7 @@ def _check_block(
     units = [column.unit for column in columns if column.unit]
     fault: Fault | None = None
     if name == "orientation" and not units:
-        fault = _quaternion_fault(values) if len(columns) == 4 else _matrix_fault(values)
+        fault = _orientation_fault(layout, columns, values)
     elif name in ("orientation", "joints") and {unit.symbol for unit in units} == {"rad"}:
         # Angles, or the lengths of rotation vectors.
         median = np.median(np.linalg.norm(values[complete], axis=1))
@@ -146,7 +146,7 @@ def _check_block(
                 f"'{columns[0].name} [deg]' into the header."
             )
     elif name == "orientation":
-        fault = _degrees_fault(layout, values * [column.to_si for column in columns])
+        fault = _orientation_fault(layout, columns, values)
     elif name == "points":
         fault = implausible_length(values, units)
     elif name == "joints" and units[0].quantity == "length":
@@ -159,41 +159,38 @@ def _check_block(
         table.fail(fault.row, columns[fault.column], fault.what, layout.words.get("row"))
 
 
-def _quaternion_fault(values: Array) -> Fault | None:
-    """Return the fault of the first of N quaternions (N, 4) whose length is not one; None without one."""
-    lengths = np.linalg.norm(values, axis=1)
-    wrong = np.flatnonzero(np.abs(lengths - 1.0) > _LENGTH_TOLERANCE)
-    if not wrong.size:
-        return None
-    length = lengths[wrong[0]]
-    what = f"the quaternion has the length {length:.6g}; that of an orientation is 1."
-    return Fault(int(wrong[0]), 0, what)
+def _orientation_fault(layout: Layout, columns: Sequence[Column], values: Array) -> Fault | None:
+    """Return the fault of the first of N orientations (N, 3, 4 or 9), as written, that is not one; None without one."""
+    # The length of quaternions is one.
+    if len(columns) == 4:
+        lengths = np.linalg.norm(values, axis=1)
+        wrong = np.flatnonzero(np.abs(lengths - 1.0) > _LENGTH_TOLERANCE)
+        if not wrong.size:
+            return None
+        length = lengths[wrong[0]]
+        what = f"the quaternion has the length {length:.6g}; that of an orientation is 1."
+        return Fault(int(wrong[0]), 0, what)
 
+    # R^T R = 1 and det R = 1.
+    if len(columns) == 9:
+        R = values.reshape(-1, 3, 3)
+        squares = R.transpose(0, 2, 1) @ R - np.eye(3)
+        is_wrong = np.abs(squares).max(axis=(1, 2)) > _MATRIX_TOLERANCE
+        wrong = np.flatnonzero(is_wrong | (np.linalg.det(R) < 0.0))
+        if not wrong.size:
+            return None
+        what = (
+            "the matrix is not a rotation: its columns r11 r21 r31 and so on are perpendicular unit vectors, and its "
+            f"determinant is 1, here {np.linalg.det(R[wrong[0]]):.6g}."
+        )
+        return Fault(int(wrong[0]), 0, what)
 
-def _matrix_fault(values: Array) -> Fault | None:
-    """Return the fault of the first of N matrices (N, 9) that is not a rotation; None without one."""
-    R = values.reshape(-1, 3, 3)
-    squares = R.transpose(0, 2, 1) @ R - np.eye(3)
-    is_wrong = np.abs(squares).max(axis=(1, 2)) > _MATRIX_TOLERANCE
-    wrong = np.flatnonzero(is_wrong | (np.linalg.det(R) < 0.0))
-    if not wrong.size:
-        return None
-    what = (
-        "the matrix is not a rotation: its columns r11 r21 r31 and so on are perpendicular unit vectors, and its "
-        f"determinant is 1, here {np.linalg.det(R[wrong[0]]):.6g}."
-    )
-    return Fault(int(wrong[0]), 0, what)
-
-
-def _degrees_fault(layout: Layout, values: Array) -> Fault | None:
-    """Return the fault of the first of N rotation vectors (N, 3) [rad] longer than half a turn; None without one.
-
-    Only if the columns may be of another convention, and none was named.
-    """
+    # Rotation vectors are no longer than half a turn; longer ones may be angles of another convention, if none was
+    # named.
     orientation = layout.orientation
     if orientation is None or not orientation.alternatives:
         return None
-    angles = np.linalg.norm(values, axis=1)
+    angles = np.linalg.norm(values * [column.to_si for column in columns], axis=1)
     wrong = np.flatnonzero(angles > _HALF_TURN_RAD)
     if not wrong.size:
         return None

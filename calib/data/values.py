@@ -15,7 +15,6 @@ from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
 from calib.data.columns import SETS, STATUS, TORQUE, WORD_COLUMNS
-from calib.data.covariances import may_have_covariance
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
@@ -64,21 +63,36 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
     blocks = _used_numbers(table, layout, kinds)
     measured = _measured_rows(table, layout, blocks, kinds)
+
+    count = len(table.cells)
+    if not count:
+        raise MeasurementError(f"{table.source}: there is a header, but no row below it.")
     if not measured.any():
-        _fail_without_measurement(table, layout)
+        listed = ""
+        if "point" in layout.kinds:
+            listed = ", or give the instrument's list of points (--points)"
+        raise MeasurementError(
+            f"{table.source}: nothing is measured yet in its {count} rows. Fill in what was measured "
+            f"at each pose{listed}."
+        )
 
     words = {name: table.column(column) for name, column in layout.words.items()}
     if layout.groups:
         words["group"] = ["/".join(row[c.index] for c in layout.groups) for row in table.cells]
     _check_words(table, layout, words, kinds, measured)
-    row_numbers = list(range(1, len(table.cells) + 1))
+    row_numbers = list(range(1, count + 1))
     if "row" in words:
         row_numbers = [int(text) for text in words["row"]]
 
     points: Array | None = None
     if elsewhere is not None:
         needs_point = measured & _of_kinds(layout, kinds, "position")
-        points = _points_of_rows(table, elsewhere, needs_point, row_numbers, words.get("point"))
+        numbers = list(compress(row_numbers, needs_point))
+        names = list(compress(words["point"], needs_point)) if "point" in words else None
+        indices = np.array(elsewhere.of_rows(table.source, numbers, names), dtype=np.intp)
+        is_listed = indices >= 0
+        points = np.full((count, 3), np.nan)
+        points[np.flatnonzero(needs_point)[is_listed]] = elsewhere.points[indices[is_listed]]
         measured = measured & (~needs_point | np.isfinite(points[:, 0]))
     _check_sets(table, layout, words.get("set", ()), measured)
     as_measured = {}
@@ -110,7 +124,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
 
 
 def _of_kinds(layout: Layout, kinds: Words, attribute: str) -> Mask:
-    """Mark the rows of kinds with a true attribute of `Kind`, ``"paired"``, shape (rows,)."""
+    """Mark the rows whose kind has a true attribute of `Kind`, such as ``"paired"``, shape (rows,)."""
     chosen = [name for name in layout.kinds if getattr(registry.get(name), attribute)]
     return np.isin(kinds, chosen)
 
@@ -128,7 +142,7 @@ def _measured_blocks(kind: Kind, blocks: Collection[str]) -> list[str]:
 def _used_blocks(kind: Kind, blocks: Collection[str]) -> set[str]:
     """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
     noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
-    if may_have_covariance(kind) and "covariances" in blocks:
+    if kind.may_have_covariance and "covariances" in blocks:
         noise = {"covariances"}
     designed = {"board_points"} if kind.is_image else set()
     return {"joints", "torques", *designed, *noise, *_measured_blocks(kind, blocks)}
@@ -175,7 +189,7 @@ def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -
 
 
 def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
-    """Refuse a cell, of a row from 0, that should hold a finite number."""
+    """Raise `MeasurementError` on a cell, of a row from 0, that should hold a finite number, with what it holds."""
     text = table.cells[row][column.index][:_QUOTED]
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
@@ -190,20 +204,6 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
     table.fail(row, column, what, layout.words.get("row"))
 
 
-def _fail_without_measurement(table: Table, layout: Layout) -> NoReturn:
-    """Refuse a table in which nothing is measured, or without a row."""
-    count = len(table.cells)
-    if not count:
-        raise MeasurementError(f"{table.source}: there is a header, but no row below it.")
-    listed = ""
-    if "point" in layout.kinds:
-        listed = ", or give the instrument's list of points (--points)"
-    raise MeasurementError(
-        f"{table.source}: nothing is measured yet in its {count} rows. Fill in what was measured "
-        f"at each pose{listed}."
-    )
-
-
 # Words
 
 
@@ -214,7 +214,7 @@ def _check_words(
     kinds: Words,
     measured: Mask,
 ) -> None:
-    """Refuse row numbers that are none, and empty words in rows that must have one."""
+    """Raise `MeasurementError` if a row number is not whole, or a word is empty in a measured row that needs one."""
     for i, text in enumerate(words.get("row", ())):
         if not _WHOLE.fullmatch(text):
             what = f"'{text}' is not a whole number. Number the rows."
@@ -234,7 +234,7 @@ def _check_words(
 
 
 def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mask) -> None:
-    """Refuse words of the column ``set``, one a row, that are no set in a measured row."""
+    """Raise `MeasurementError` if a measured row has a word in the column ``set`` that does not name a set."""
     for word in set(sets) - set(SETS):
         column = layout.words["set"]
         what = (
@@ -246,29 +246,8 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
                 table.fail(i, column, what, layout.words.get("row"))
 
 
-def _points_of_rows(
-    table: Table,
-    elsewhere: Points,
-    rows: Mask,
-    row_numbers: Sequence[int],
-    names: Sequence[str] | None,
-) -> Array:
-    """Return the positions (rows, 3) [m] of the rows that need a point; NaN in others, and if the list lacks the point.
-
-    Without names the points of the list are in the order of the rows.
-    """
-    at = np.flatnonzero(rows)
-    chosen_numbers = list(compress(row_numbers, rows))
-    chosen_names = None if names is None else list(compress(names, rows))
-    indices = np.array(elsewhere.of_rows(table.source, chosen_numbers, chosen_names), dtype=np.intp)
-    is_listed = indices >= 0
-    points = np.full((len(rows), 3), np.nan)
-    points[at[is_listed]] = elsewhere.points[indices[is_listed]]
-    return points
-
-
 def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
-    """Return joints and arrays of `Measurements`, from blocks of ``count`` rows in SI units."""
+    """Return joints and arrays as arguments of `Measurements`, from blocks of ``count`` measured rows (SI units)."""
     joint_names = [column.name for column in layout.blocks["joints"]]
     torques: Array | None = None
     if "torques" in si:  # NaN of joints without a column

@@ -1,4 +1,4 @@
-"""Coverage: the measured part of the joints' ranges and of the workspace, rows outside of it, and views of boards."""
+"""Coverage: the measured part of the joints' ranges and of the workspace, rows and errors outside of it, and views."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from calib.basics.arrays import Array, Integers, Mask
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
+from calib.numerics.likelihood import GaussianPriors
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
 
@@ -44,6 +45,13 @@ _SHARE = 0.2
 
 #: If turns of the hand spread by less about all axes but one, the camera's place along that one is undetermined [rad].
 _ONE_AXIS = np.radians(10.0)
+
+
+#: The share of the rows at each end of a joint's measured values that are predicted by the others.
+_OUTER = 0.2
+
+#: An end with fewer rows is not used: their errors say little.
+_FEWEST_OUTER = 3
 
 
 # Rows outside of the measured range
@@ -92,10 +100,19 @@ def outside(
     """
     if not len(measured) or not len(queried):
         return ()
+
+    # Distances from the nearer end of the range, 0 inside; of a continuous joint along the circle.
     distances, spans = np.zeros(queried.shape), np.zeros(len(names))
     for j, kind in enumerate(types):
-        low, spans[j] = _range(measured[:, j], kind)
-        distances[:, j] = _distances(queried[:, j], low, spans[j], kind)
+        low, span = _range(measured[:, j], kind)
+        q, spans[j] = queried[:, j], span
+        if kind == "continuous":
+            after = np.mod(q - low, 2.0 * np.pi) - span
+            nearest = np.minimum(after, 2.0 * np.pi - span - after)
+            distances[:, j] = np.where(after <= 0.0, 0.0, nearest)
+        else:
+            distances[:, j] = np.maximum(0.0, np.maximum(low - q, q - low - span))
+
     spans = np.maximum(spans, _STILL)
     out = distances > np.maximum(_MARGIN * spans, _STILL)
     rows = []
@@ -110,15 +127,6 @@ def outside(
     return tuple(rows)
 
 
-def _distances(q: Array, low: float, span: float, kind: str) -> Array:
-    """Return the distance of values (K,) of a joint, by its URDF type, from the nearer end of its range; 0 inside."""
-    if kind != "continuous":
-        return np.asarray(np.maximum(0.0, np.maximum(low - q, q - low - span)))
-    after = np.mod(q - low, 2.0 * np.pi) - span
-    nearest = np.minimum(after, 2.0 * np.pi - span - after)
-    return np.where(after <= 0.0, 0.0, nearest)
-
-
 def _range(q: Array, kind: str) -> tuple[float, float]:
     """Return where the range of a joint's values (N,) begins and its length, [rad] or [m], by its URDF type.
 
@@ -131,6 +139,57 @@ def _range(q: Array, kind: str) -> tuple[float, float]:
     widest = int(np.argmax(gaps))
     after_gap = (widest + 1) % len(turned)
     return float(turned[after_gap]), float(2.0 * np.pi - gaps[widest])
+
+
+def extrapolation(fitted: Fitted) -> float:
+    """Compare errors of extrapolated predictions with those expected by a fit's covariance.
+
+    Rows at one end of a joint's values are predicted by a linear fit to the others, for both ends of each joint: beyond
+    their noise, |r|^2 - sigma^2, they should be off by tr(A C A^T). What the model lacks does not average out over the
+    rows as noise does, so with many rows the covariance includes too little of it.
+
+    Args:
+        fitted: The fit to N rows.
+
+    Returns:
+        The ratio of squared errors, 1 or more; 1 if no end has enough rows.
+    """
+    estimate = fitted.estimate
+    problem, rows = estimate.problem, estimate.problem.rows
+
+    # The rows at each end of each joint's values, whole pairs, if there are enough and others beside them; the ends are
+    # those of the values of rows with a weight in the fit.
+    masks = []
+    for q in rows.joints.T:
+        low, high = np.quantile(q[estimate.weights > 0.0], [_OUTER, 1.0 - _OUTER])
+        if not low < high:
+            continue
+        for outer in (q <= low, q >= high):
+            mask = rows.with_partners(outer)
+            if _FEWEST_OUTER <= np.sum(mask) < 0.5 * len(rows):
+                masks.append(mask)
+    if not masks:
+        return 1.0
+
+    # Fits without the rows of each mask, at noise and priors of the fit to all rows.
+    linear = problem.linear(estimate.x)
+    noise = np.tile(estimate.noise, (len(masks), 1))
+    weights = np.where(np.array(masks), 0.0, problem.weights)
+    priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
+    x, covariances, _ = linear.fit(weights, problem.stop_shares, noise, priors)
+    residuals = linear.residual(x) / linear.noise_by_scalar(noise)
+
+    A = linear.A / linear.noise_by_scalar(np.array([estimate.noise]))[0][:, :, None]
+    beyond, expected = 0.0, 0.0
+    for mask, residual, C in zip(masks, residuals, covariances, strict=True):
+        counts = linear.used[mask] * problem.weights[mask][:, None]
+        excess = residual[mask] ** 2 - 1.0
+        variances = np.einsum("ndp,pq,ndq->nd", A[mask], C, A[mask], optimize=True)
+        beyond += float(np.sum(counts * excess))
+        expected += float(np.sum(counts * variances))
+    if not expected > 0.0:
+        return 1.0
+    return max(beyond / expected, 1.0)
 
 
 # The measured part of ranges and workspace

@@ -82,7 +82,7 @@ class ValidationErrors:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Values of a reason that compares them."""
+        """Values of a reason that compares the errors of both robots on validation rows."""
         return {
             "rows": self.after.leading.n,
             "aside": self.aside,
@@ -166,13 +166,14 @@ class Evidence:
 
     @cached_property
     def _fall_without_outliers(self) -> tuple[float, float]:
-        """See `_test_fall`."""
+        """The gain and its p-value on held-out rows, outliers aside; see `_test_fall`."""
         return self._test_fall(of_all=False)
 
     def _test_fall(self, *, of_all: bool) -> tuple[float, float]:
         """Test the fall of the error on held-out rows from the nominal to the calibrated robot by Student's t.
 
-        The mean fall over its standard error, 0 if no parameter changed; and the one-sided p-value of no fall. Errors
+        Returned are the mean fall over its standard error, 0 if no parameter changed, and the one-sided p-value of no
+        fall. Errors
         are paired by poses. Of all rows the error is tested, not its square: an accident then changes the fall by no
         more than the correction there.
         """
@@ -188,7 +189,10 @@ class Evidence:
         return gain, float(stdtr(len(fall) - 1, -gain))
 
     def _by_pose(self, validation: CrossValidation, *, of_all: bool) -> Array:
-        """Average over the repeats of each of K poses, shape (K,): errors of all rows, or squares without outliers."""
+        """Average over the repeats of each of K poses, shape (K,): errors of all rows, or squares without outliers.
+
+        Errors are those of a cross-validation, over the noise.
+        """
         rows = (of_all | ~self.outliers) & np.any(self.used, axis=1)
         _, poses = np.unique(validation.poses[rows], return_inverse=True)
         counts = np.maximum(np.bincount(poses), 1)

@@ -67,7 +67,7 @@ class Explained:
 
     @property
     def values(self) -> dict[str, float]:
-        """Values of a reason that reports it."""
+        """The values ``share``, ``chance`` and ``p`` of a reason that reports the test."""
         return {"share": self.share, "chance": self.chance, "p": self.p}
 
 
@@ -205,7 +205,7 @@ def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
 
 
 def _fit_beside(stack: Stack, Z: Array) -> Array:
-    """Return the coefficients (k,) of additional whitened regressors (M, k) beside the fit's, by least squares."""
+    """Return the coefficients (k,) of additional whitened regressors (M, k), by least squares with the stack's."""
     coefficients, *_ = np.linalg.lstsq(np.column_stack([stack.A, Z]), stack.r, rcond=None)
     return np.asarray(coefficients[-Z.shape[1] :])
 
@@ -270,7 +270,7 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
 
 
 def _combined(stack: Stack) -> Callable[[Array], Explained]:
-    """Make the test between poses and within repeats, with p-values combined by Fisher's method."""
+    """Return the test of additional regressors (M, k) between poses and within repeats, combined by Fisher's method."""
     between, within = _between(stack), _within(stack)
 
     def test(Z: Array) -> Explained:
@@ -289,7 +289,7 @@ def _combined(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _between(stack: Stack) -> Callable[[Array], Explained]:
-    """Make the test of any additional regressors (M, k) on the means of repeats."""
+    """Return the F test of any additional regressors (M, k) on the means of repeats of a pose."""
     cells = stack.cells
     A = _means(cells, np.column_stack([stack.A, stack.ones]))
     r = _means(cells, stack.r)
@@ -305,7 +305,7 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _within(stack: Stack) -> Callable[[Array], Explained]:
-    """Make the test of any additional regressors (M, k) on differences between repeats, if there are any."""
+    """Return the F test of any additional regressors (M, k) on the differences between repeats of a pose."""
     cells = stack.cells
     components, component = np.unique(stack.component_of, return_inverse=True)
     counts = np.bincount(cells)

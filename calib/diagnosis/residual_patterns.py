@@ -83,7 +83,7 @@ class Residuals:
 
     @classmethod
     def of(cls, fitted: Fitted, numbers: Integers, moves: Array) -> Residuals:
-        """Whiten the residuals of a fit to rows with these numbers and moves."""
+        """Whiten the residuals of a fit to N rows; arguments are those of `residual_patterns`."""
         problem, x, rows = fitted.estimate.problem, fitted.estimate.x, fitted.estimate.problem.rows
 
         # The nominal robot with frames and targets at the solution.
@@ -240,7 +240,7 @@ def residual_patterns(fitted: Fitted, numbers: Integers, moves: Array) -> Iterat
 
 
 def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
-    """Name the joint whose rounding explains most, with the step of its grid, if rounding explains the noise."""
+    """Yield a reason if rounding of joint values explains the noise: the joint that explains most, and its step."""
     joints = residuals.joints
     grids, effects = [], []
     for joint in joints:

@@ -297,9 +297,9 @@ def _wrong_internals(fitted: Fitted) -> Iterator[Reason]:
 
 
 def _derivative_by_share(fitted: Fitted, size: StatedSize, concerned: Mask) -> Array:
-    """Return the derivative of the predictions by a relative error of a stated size, shape (N, D, 1).
+    """Return the derivative of the predicted scalars by a relative error of a stated size, shape (N, D, 1).
 
-    Of the rows that the object which has it concerns, (N,).
+    It is in the units of the rows' channels, and zero outside of the rows that the object of this size concerns, (N,).
     """
     rows, x = fitted.estimate.problem.rows, fitted.estimate.x
     values = rows.samples.internals

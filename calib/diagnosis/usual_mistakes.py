@@ -1,6 +1,7 @@
 """Usual mistakes of an input: if a nominal arm is centimetres off, each one is undone in a trial.
 
-In each trial the target is registered again. Explanations that the rows cannot tell apart are all named.
+In each trial the target is registered again. Explanations that the rows cannot tell apart are all named. A joint that
+counts the other way is also looked for in images that fit: frames and zeros may make up for it.
 """
 
 from __future__ import annotations
@@ -15,15 +16,21 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.corrections import (
+from calib.data.priors import Priors
+from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.trials import (
+    TOLERANCE,
     correct_joints,
     correct_orientations,
     correct_points,
+    misfit,
+    poses_of_images,
     shift_zeros,
+    with_joints,
 )
-from calib.diagnosis.misfit import TOLERANCE, misfit, poses_of_images, with_joints
-from calib.diagnosis.reasons import Reason, Why
-from calib.errors import MeasurementError, UrdfError
+from calib.errors import CalibError, MeasurementError, UrdfError
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
 from calib.fit.registration.frame_search import frames_to_search, is_plausible
 from calib.fit.registration.registration import nominal_setup, register
 from calib.fit.registration.rows import Rows
@@ -86,6 +93,18 @@ _FREE = 1.5
 
 #: Factor on the error of a trial with an unknown frame, which always fits a little better.
 _FREE_FRAME = 2.0
+
+#: Reversed values of a joint fit far better if their error is less than this share of that of the values as given.
+_REVERSED_FAR_BETTER = 0.5
+
+#: They fit as well if their error is no more than this multiple of it.
+_REVERSED_AS_WELL = 1.5
+
+#: Views of boards that are enough to find the senses of joints.
+_VIEWS = 60
+
+#: The fewest views for that.
+_FEWEST_VIEWS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,12 +218,7 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     if given < _PLAUSIBLE:
         return _orientation_mistake(robot, setup, poses)
 
-    usual = itertools.chain(
-        _trials(robot, cell, setup, rows),
-        _tips(robot, cell, table),
-        _constant_joints(robot, setup, rows),
-        _inverted(robot, setup, poses),
-    )
+    usual = _trials(robot, cell, table, setup, poses)
     first, *further = _counts_of_turned_joints(robot, setup)
     searches: list[Iterator[Trial]] = [
         itertools.chain(usual, _turned_joints(robot, setup, rows, first)),
@@ -243,7 +257,7 @@ def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
 
 
 def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
-    """Return whether the orientations of poses are far off in a trial of other joint values."""
+    """Return whether the orientations of the rows speak against a trial of other joint values."""
     is_of_joints = trial.rows.measured.shape[0] == poses.measured.shape[0] and np.array_equal(
         trial.rows.measured, poses.measured[:, :3]
     )
@@ -295,7 +309,7 @@ def _some_rows(table: Measurements) -> Measurements:
 
 
 def _as_points(rows: Rows) -> Rows:
-    """Copy poses as the points of their positions."""
+    """Copy rows of poses as rows of the kind ``point``, with their positions only."""
     kind = np.zeros(len(rows), dtype=np.int_)
     points = rows.measured[:, :3]
     return replace(rows, kinds=(registry.get("point"),), kind=kind, measured=points)
@@ -309,13 +323,31 @@ def _with_unknown_targets(setup: Setup) -> Setup:
 # Trials
 
 
-def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Undo the usual mistakes of targets, frames, joints, the order of rows, and points, one at a time."""
+def _trials(
+    robot: Robot, cell: Cell, table: Measurements, setup: Setup, poses: Rows
+) -> Iterator[Trial]:
+    """Undo the usual mistakes one at a time, except for reversed signs: each trial has all targets unknown.
+
+    ``poses`` are the rows of the table, whose positions are the rows of the trials.
+    """
+    rows = _as_points(poses)
     free = _with_unknown_targets(setup)
     if not setup.estimate_target:
         yield Trial(_PLAIN, robot, free, rows, Why.TARGET_ELSEWHERE)
+
+    # Points in the frame of another link that is fixed to the base, or in an unknown frame.
+    links = robot.urdf.links
+    fixed = {joint.name for joint in robot.urdf.joints if joint.type == "fixed"}
     if not cell.estimate_frame and cell.T_frame_base is None:
-        yield from _bases(robot, free, rows)
+        for link in links:
+            between = itertools.chain(*robot.urdf.chain(robot.base, link))
+            if link != robot.base and fixed.issuperset(between):
+                other = robot.rebuilt(base=link)
+                yield Trial(_PLAIN, other, free, rows, Why.OTHER_BASE, {"link": link})
+        if len(rows) >= _FEWEST_ROWS_OF_FRAME:
+            unknown = replace(free, unknown=(DIRECTIONS,) * len(setup.groups))
+            yield Trial(_FREE_FRAME, robot, unknown, rows, Why.OWN_FRAME)
+
     for joints, why, values in correct_joints(robot, rows.joints):
         yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
 
@@ -329,25 +361,9 @@ def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Tria
     for points, why, values in correct_points(rows.measured, turns=turns):
         yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), why, values)
 
-
-def _bases(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Try other links that are fixed to the base as the frame of the points, and an unknown frame."""
-    moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
-    for link in robot.urdf.links:
-        between = itertools.chain(*robot.urdf.chain(robot.base, link))
-        if link != robot.base and moving.isdisjoint(between):
-            other = robot.rebuilt(base=link)
-            yield Trial(_PLAIN, other, setup, rows, Why.OTHER_BASE, {"link": link})
-    if len(rows) >= _FEWEST_ROWS_OF_FRAME:
-        unknown = replace(setup, unknown=(DIRECTIONS,) * len(setup.groups))
-        yield Trial(_FREE_FRAME, robot, unknown, rows, Why.OWN_FRAME)
-
-
-def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
-    """Try other links that carry the target: one for each set of joints that the table has values of."""
-    fixed = {joint.name for joint in robot.urdf.joints if joint.type == "fixed"}
+    # Another link carries the target: one for each set of joints that the table has values of.
     tried = {frozenset(robot.joint_names)}
-    for link in robot.urdf.links:
+    for link in links:
         between = itertools.chain(*robot.urdf.chain(robot.base, link))
         moving = frozenset(between) - fixed
         measured = moving <= set(table.joint_names)
@@ -358,14 +374,11 @@ def _tips(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
             other = robot.rebuilt(tip=link)
         except UrdfError:  # the reading of a joint beyond this tip is needed
             continue
-        rows, setup = rows_and_setup(other, table, cell)
-        free, points = _with_unknown_targets(setup), _as_points(rows)
-        yield Trial(_FREE, other, free, points, Why.OTHER_TIP, {"link": link})
+        other_poses, other_setup = rows_and_setup(other, table, cell)
+        other_free, other_rows = _with_unknown_targets(other_setup), _as_points(other_poses)
+        yield Trial(_FREE, other, other_free, other_rows, Why.OTHER_TIP, {"link": link})
 
-
-def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Try joints whose column holds one value at the values that would explain each row."""
-    free = _with_unknown_targets(setup)
+    # A joint whose column holds one value, at the values that would explain each row.
     is_constant = np.ptp(rows.joints, axis=0) == 0.0
     for joint in np.flatnonzero(is_constant).tolist():
         moved = rows
@@ -373,6 +386,12 @@ def _constant_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
             moved = _with_nearest_values(robot, free, moved, joint, reach)
         values = {"joint": robot.joint_names[joint]}
         yield Trial(_FREE, robot, free, moved, Why.JOINT_CONSTANT, values)
+
+    # Poses of the frame in the target.
+    if np.all(poses.where(lambda kind: kind.orientation)):
+        R = poses.measured[:, 3:12].reshape(-1, 3, 3)
+        points = -np.einsum("nji,nj->ni", R, poses.measured[:, :3])
+        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), Why.POSES_INVERSE)
 
 
 def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
@@ -388,17 +407,6 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
     squares = np.sum(repeated.residual(seen) ** 2, axis=1)
     nearest = np.argmin(squares.reshape(-1, _TRIED), axis=1)
     return with_joints(rows, q[every * _TRIED + nearest])
-
-
-def _inverted(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
-    """Invert poses, as if they were those of the frame in the target; no trial unless every row is a pose."""
-    if not np.all(rows.where(lambda kind: kind.orientation)):
-        return
-    R = rows.measured[:, 3:12].reshape(-1, 3, 3)
-    points = -np.einsum("nji,nj->ni", R, rows.measured[:, :3])
-    inverse = replace(_as_points(rows), measured=points)
-    free = _with_unknown_targets(setup)
-    yield Trial(_ONE_OF_MANY, robot, free, inverse, Why.POSES_INVERSE)
 
 
 def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int], ...]:
@@ -428,3 +436,66 @@ def _turned_joints(
             turned = with_joints(rows, rows.joints * signs)
             values = {"joints": ", ".join(robot.joint_names[i] for i in joints)}
             yield Trial(factor, robot, free, turned, Why.JOINTS_TURNED, values)
+
+
+# Senses of joints in images
+
+
+def doubtful_senses(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Reason]:
+    """Find joints that seem to count the other way, and joints whose direction the images do not determine.
+
+    Frames, targets and joint zeros may make up for a joint with the wrong sign: it then fits within millimetres, and
+    every figure looks good. So each joint's values are reversed in turn, and the poses of the boards are fitted again.
+
+    Args:
+        robot: The nominal robot.
+        cell: The cell as given.
+        table: The rows that are fitted; none is examined unless all are images.
+
+    Yields:
+        At most one reason of each sort, with the names of the joints.
+    """
+    from_images = poses_of_images(robot, cell, table)
+    if from_images is None:
+        return
+    table_of_poses, cell_of_poses = from_images
+    if len(table_of_poses) < _FEWEST_VIEWS:
+        return
+    rows, setup = rows_and_setup(robot, table_of_poses, cell_of_poses)
+    rows = rows.select(rows.evenly(_VIEWS))
+    given = _errors_with_free_zeros(robot, setup, rows)
+    if given is None:
+        return
+
+    turned, unknown = [], []
+    for j, name in enumerate(robot.joint_names):
+        reversed_joint = np.where(np.arange(rows.joints.shape[1]) == j, -1.0, 1.0)
+        other = _errors_with_free_zeros(
+            robot, setup, with_joints(rows, rows.joints * reversed_joint)
+        )
+        if other is None:
+            continue
+        ratio = max(other[0] / given[0], other[1] / given[1])
+        if ratio < _REVERSED_FAR_BETTER:
+            turned.append((ratio, name, other[0]))
+        elif ratio < _REVERSED_AS_WELL:
+            unknown.append(name)
+    if turned:
+        _, name, error = min(turned)
+        yield Reason.of(Why.SENSE_REVERSED, joint=name, given_m=given[0], error_m=error)
+    if unknown:
+        yield Reason.of(Why.SENSE_UNKNOWN, joints=", ".join(unknown))
+
+
+def _errors_with_free_zeros(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float] | None:
+    """Return median errors [m], [rad] of poses after a fit of frames, targets and joint zeros; None if it fails."""
+    cell = Cell(priors=Priors("given"))
+    try:
+        fitted = fit(Task(robot, cell, setup, "zeros"), rows)
+    except CalibError:
+        return None
+    residual = fitted.residual(rows)
+    lengths = np.linalg.norm(residual[:, :3], axis=1)
+    angles = np.linalg.norm(residual[:, 3:6], axis=1)
+    tiny = np.finfo(float).tiny
+    return max(float(np.median(lengths)), tiny), max(float(np.median(angles)), tiny)

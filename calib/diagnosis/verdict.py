@@ -42,14 +42,33 @@ def judge(evidence: Evidence) -> Verdict:
         ``use``, ``use with care`` or ``do not use``, with the reasons: against it, for care, gains, what can be
         improved, information.
     """
-    absurd = _absurd(evidence)
+    before, after, validation = evidence.before, evidence.after, evidence.validation
+
+    # Errors that no arm has: the input must be wrong, and nothing else about such a fit means anything.
+    far = _is_absurd(before) and evidence.largest > _TOO_FAR
+    noisy = {f"noise_{unit}": std for unit, std in evidence.noise.items() if _exceeds(std, unit)}
+    turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
+    absurd = _applicable(
+        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest)),
+        (bool(noisy), Reason.of(Why.NOISE_ABSURD, **noisy)),
+        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
+    )
     if absurd:
-        # Nothing else about such a fit means anything.
         return Verdict(NO, (absurd[0],))
 
     against = _against(evidence)
     care = _care(evidence, against)
-    improvements = _improvements(evidence, against)
+
+    # What can be improved is not a reason for care if held-out rows prove the gain.
+    few = (evidence.few or evidence.handful) and not against
+    unseen = any(reason.why.group is Group.NOT_SEEN for reason in against)
+    too_rough = before.leading.unit == "px" and unseen
+    improvements = _applicable(
+        (few, Reason.of(Why.FEW_NUMBERS, **evidence.counts, parameters=evidence.parameters)),
+        (evidence.accidents, _many_outliers(evidence)),
+        (too_rough, Reason.of(Why.CAMERA_TOO_ROUGH)),
+    )
+    improvements += _doubts(evidence, Role.IMPROVE)
     if not evidence.proven and not against:
         care += improvements
         improvements = []
@@ -60,23 +79,17 @@ def judge(evidence: Evidence) -> Verdict:
         use = CARE
     if against:
         use = NO
-    gains = _gains(evidence)
+
+    # The gain on held-out and on validation rows.
+    held_out = {**_both(evidence), "outliers": evidence.flagged}
+    gained = validation.exist and validation.fall and not validation.fall_little
+    gains = _applicable(
+        (evidence.gain > 0.0, Reason.of(Why.GAIN, **held_out)),
+        (gained, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
+    )
     information = _doubts(evidence, Role.INFORMATION)
     reasons = (*against, *care, *gains, *improvements, *information, *evidence.notes)
     return Verdict(use, reasons)
-
-
-def _absurd(evidence: Evidence) -> list[Reason]:
-    """List the reasons why the input must be wrong: errors that no arm has."""
-    before, after = evidence.before, evidence.after
-    far = _is_absurd(before) and evidence.largest > _TOO_FAR
-    noisy = {f"noise_{unit}": std for unit, std in evidence.noise.items() if _exceeds(std, unit)}
-    turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
-    return _applicable(
-        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest)),
-        (bool(noisy), Reason.of(Why.NOISE_ABSURD, **noisy)),
-        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
-    )
 
 
 def _against(evidence: Evidence) -> list[Reason]:
@@ -150,37 +163,13 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
     return [*given, *about_gain, *others, *about_rows]
 
 
-def _improvements(evidence: Evidence, against: list[Reason]) -> list[Reason]:
-    """List what can be improved, which is not a reason for care if held-out rows prove the gain."""
-    few = (evidence.few or evidence.handful) and not against
-    unseen = any(reason.why.group is Group.NOT_SEEN for reason in against)
-    too_rough = evidence.before.leading.unit == "px" and unseen
-    first = _applicable(
-        (few, Reason.of(Why.FEW_NUMBERS, **evidence.counts, parameters=evidence.parameters)),
-        (evidence.accidents, _many_outliers(evidence)),
-        (too_rough, Reason.of(Why.CAMERA_TOO_ROUGH)),
-    )
-    return first + _doubts(evidence, Role.IMPROVE)
-
-
-def _gains(evidence: Evidence) -> list[Reason]:
-    """List the reasons that state the gain, on held-out and on validation rows."""
-    validation = evidence.validation
-    gained = validation.exist and validation.fall and not validation.fall_little
-    held_out = {**_both(evidence), "outliers": evidence.flagged}
-    return _applicable(
-        (evidence.gain > 0.0, Reason.of(Why.GAIN, **held_out)),
-        (gained, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
-    )
-
-
 def _doubts(evidence: Evidence, role: Role) -> list[Reason]:
-    """List the findings besides errors that have a role in this verdict."""
+    """List the findings besides errors whose role in the verdict on this evidence is the given one."""
     return [doubt for doubt in evidence.doubts if _role(doubt, evidence) is role]
 
 
 def _role(doubt: Reason, evidence: Evidence) -> Role:
-    """Return the role of a finding, which for some depends on its values."""
+    """Return the role of a finding in the verdict on this evidence: that of its code, or one by its values."""
     why, values = doubt.why, doubt.values
     # A focal length or a board that is far off is another camera, resolution or board, or a square not measured.
     if why in _OTHER_SHARE and abs(float(values["share"])) > _OTHER_SHARE[why]:
@@ -196,12 +185,12 @@ def _role(doubt: Reason, evidence: Evidence) -> Role:
 
 
 def _applicable(*rules: tuple[bool, Reason]) -> list[Reason]:
-    """List the reasons whose condition holds, in their order."""
+    """List the reasons of those rules, each a condition and a reason, whose condition holds, in their order."""
     return [reason for holds, reason in rules if holds]
 
 
 def _both(evidence: Evidence) -> dict[str, Any]:
-    """Errors of both robots on held-out rows, and the method of cross-validation."""
+    """Return values of a reason: errors of both robots on held-out rows, and the method of cross-validation."""
     return {
         "before": evidence.before,
         "after": evidence.after,
@@ -221,7 +210,7 @@ def _many_outliers(evidence: Evidence) -> Reason:
 
 
 def _over_limits(evidence: Evidence) -> dict[str, float]:
-    """Expected error over the joint limits [m], and its share of the nominal robot's."""
+    """Return values of a reason: the expected error over the joint limits [m], and its share of the nominal one's."""
     return {"expected_m": evidence.expected, "remains": evidence.remains_everywhere}
 
 
@@ -233,7 +222,7 @@ def _has_better(evidence: Evidence) -> bool:
 
 
 def _better(why: Why, evidence: Evidence) -> Reason:
-    """Make a reason with the remaining error, and that of the non-geometric model if it is far less."""
+    """Make a reason ``why`` with the remaining error, and that of the non-geometric model if it is far less."""
     values: dict[str, Any] = {**_both(evidence), "remains": evidence.remains_held_out}
     if _has_better(evidence) and evidence.non_geometric is not None:
         model, less = evidence.non_geometric
@@ -242,10 +231,10 @@ def _better(why: Why, evidence: Evidence) -> Reason:
 
 
 def _is_absurd(errors: Errors) -> bool:
-    """Return whether errors are beyond any uncalibrated arm, in a unit other than of orientations."""
+    """Return whether the rms error in a unit other than of orientations is beyond any uncalibrated arm."""
     return any(_exceeds(errors[unit].rms, unit) for unit in errors.units)
 
 
 def _exceeds(value: float, unit: str) -> bool:
-    """Return whether an error or noise is beyond any arm and instrument; orientations have a rule of their own."""
+    """Return whether an error or noise, in its SI unit or [px], is beyond any arm; never for orientations."""
     return unit != _ANGLE.symbol and value > RESIDUAL_UNITS[unit].absurd

@@ -15,7 +15,6 @@ from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
-from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
@@ -27,12 +26,11 @@ from calib.fit.selection.cross_validation import cross_validation, nominal_cross
 from calib.fit.selection.robustness import compare_weights
 from calib.model.parameters import Parameter
 from calib.numerics.errors import CrossValidation, rms
-from calib.numerics.repeats import Repeats, scatter_of_repeats
+from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel, NonGeometric
-from calib.result.image_errors import metres_per_pixel
 from calib.result.joint_zeros import joint_zeros
 from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
 from calib.result.result_optics import result_optics
@@ -206,13 +204,7 @@ def _assemble(
         geometry=geometry,
         non_geometric=non_geometric,
         rows=_result_rows(m, fits, residual_nominal),
-        noise=Noise(
-            sigma=estimate.sigma,
-            sigma_given=_stated_sigma(m, cell),
-            freedom=estimate.freedom,
-            repeats=_repeats(fitted),
-            pose_noise=estimate.pose_noise,
-        ),
+        noise=_noise(m, fitted),
         trust=Trust(
             nominal_cross_validation=of_nominal,
             observability=observability,
@@ -239,7 +231,10 @@ def _assemble(
 def _result_rows(
     measurements: Measurements, fits: TableFits, residual_nominal: Array
 ) -> ResultRows:
-    """Return names, residuals, scores and weights of all rows by the fit of the geometry."""
+    """Return names, residuals, scores and weights of all N rows by the fit of the geometry.
+
+    ``residual_nominal``, shape (N, D), is measured minus predicted by the nominal robot.
+    """
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
     robot, estimate = geometry.task.robot, geometry.estimate
     residual = geometry.residual(all_rows)
@@ -252,6 +247,11 @@ def _result_rows(
     suspect_limit = float(Limits.of(np.sum(m.validation), estimate.freedom).flagged)
     is_outlier = m.estimation & (scores > estimate.flag_limit)
     is_suspect = m.validation & (scores > suspect_limit)
+
+    metres_per_pixel = None
+    if np.any(all_rows.is_image):
+        sightings = geometry.kinematics.sightings(estimate.x, all_rows.samples)
+        metres_per_pixel = all_rows.lengths_per_unit(sightings)
 
     q = all_rows.joints
     low = q[weights > 0.0].min(axis=0, initial=np.inf)
@@ -275,14 +275,14 @@ def _result_rows(
         suspects=_flagged(m, all_rows.channels, residual, scores, is_suspect),
         ranges=read_only(np.stack([low, high], axis=1)),
         outside=outside(q[m.estimation], q[m.validation], robot.joint_names, types),
-        metres_per_pixel=metres_per_pixel(geometry, all_rows),
+        metres_per_pixel=metres_per_pixel,
     )
 
 
 def _flagged(
     measurements: Measurements, channels: Channels, residual: Array, scores: Array, flagged: Mask
 ) -> tuple[Outlier, ...]:
-    """List flagged rows in the table's order, each with the norm of its residual in each unit that it measures."""
+    """List flagged rows (a mask, (N,)) in the table's order, with the norm of their residual in each measured unit."""
     norms = {unit: channels.norms(residual, unit) for unit in channels.present}
     result = []
     for i in np.flatnonzero(flagged).tolist():
@@ -291,27 +291,35 @@ def _flagged(
     return tuple(result)
 
 
-def _stated_sigma(measurements: Measurements, cell: Cell) -> dict[str, float]:
-    """Return the noise of one scalar of fitted rows as their table states it, rms, else as the cell does, by unit."""
-    stated = dict(cell.sigma)
+def _noise(measurements: Measurements, fitted: Fitted) -> Noise:
+    """Return the noise as a fit estimated it, as table or cell state it, and the scatter of rows that repeat a pose."""
+    estimate = fitted.estimate
+    rows = estimate.problem.rows
+
+    # As the table states it for fitted rows, rms, else as the cell does.
+    stated = dict(fitted.task.cell.sigma)
     for unit, by_row in measurements.stated_sigma.items():
         of_fitted = by_row[measurements.estimation & np.isfinite(by_row)]
         if len(of_fitted):  # the second row of a pair states none
             stated[unit] = rms(of_fitted)
         else:
             stated.pop(unit, None)
-    return {unit: stated[unit] for unit in RESIDUAL_UNITS if unit in stated}
 
+    repeats = None
+    if len(np.unique(rows.poses)) < len(rows):
+        # The scalars' worth of information that the parameters have taken.
+        paid = float(np.sum(estimate.problem.weights @ rows.used)) - estimate.freedom
+        residual = fitted.residual(rows)
+        scatter = scatter_of_repeats(
+            residual, rows.channels, rows.poses, estimate.weights, fitted=max(paid, 0.0)
+        )
+        # None if only rows without weight repeat a pose.
+        repeats = scatter if scatter.freedom > 0 else None
 
-def _repeats(fitted: Fitted) -> Repeats | None:
-    """Return the scatter of rows that repeat a pose; None if no pose is repeated, or only by rows without weight."""
-    estimate = fitted.estimate
-    rows = estimate.problem.rows
-    if len(np.unique(rows.poses)) == len(rows):
-        return None
-    # The scalars' worth of information that the parameters have taken.
-    paid = float(np.sum(estimate.problem.weights @ rows.used)) - estimate.freedom
-    scatter = scatter_of_repeats(
-        fitted.residual(rows), rows.channels, rows.poses, estimate.weights, fitted=max(paid, 0.0)
+    return Noise(
+        sigma=estimate.sigma,
+        sigma_given={unit: stated[unit] for unit in RESIDUAL_UNITS if unit in stated},
+        freedom=estimate.freedom,
+        repeats=repeats,
+        pose_noise=estimate.pose_noise,
     )
-    return scatter if scatter.freedom > 0 else None

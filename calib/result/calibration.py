@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib.basics.arguments import check_path, check_type
 from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.values import Value, shown_by
+from calib.data.cell import Cell
 from calib.data.record import BLANK, Record
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
@@ -477,6 +478,21 @@ class Calibration(Value):
             return self.robot.poses(q)
         return self.non_geometric.tips(self.samples(q, payload=payload))
 
+    def complete_cell(self, cell: Cell) -> Cell:
+        """Return a cell with the cameras and boards that the fit began with, if it gives none of its own.
+
+        Args:
+            cell: As given for other rows of this robot.
+
+        Returns:
+            The cell, with `ResultOptics.nominal_cameras` and `ResultOptics.nominal_boards` where it has none.
+        """
+        return replace(
+            cell,
+            cameras=cell.cameras or self.optics.nominal_cameras,
+            boards=cell.boards or self.optics.nominal_boards,
+        )
+
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
         """List the joint values that lie outside of the ranges that were fitted.
 
@@ -559,7 +575,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:
-    """Return the joints whose origins differ by more than rounding."""
+    """Return the names of the joints whose origins differ from a reference robot's by more than rounding."""
     origins = reference.origins()
     return [name for name, T in robot.origins().items() if np.abs(T - origins[name]).max() > _SAME]
 

@@ -61,12 +61,12 @@ RESULT = "a Calibration, or the path of a result file (.json)"
 
 
 def error_table(errors: Errors) -> dict[str, Any]:
-    """Return the table of errors of one set of rows, by the units that were measured; see docs/result-json.md."""
+    """Return errors of one set of rows as a table by the units that were measured; see docs/result-json.md."""
     return {unit: _LAYOUT.table(figures) for unit, figures in errors.by_unit.items()}
 
 
 def _read_errors(table: Json) -> Errors:
-    """Return errors from their tables by unit, as `error_table` makes them."""
+    """Return errors of one set of rows from their table by unit, as `error_table` makes it."""
     by_unit = {}
     for unit, figures in table.items():
         by_unit[unit] = UnitErrors(unit=unit, **_LAYOUT.values(UnitErrors, figures))
@@ -74,7 +74,7 @@ def _read_errors(table: Json) -> Errors:
 
 
 def _read_channels(table: Json) -> Channels:
-    """Return the channels of residuals' entries from their units, and the index of each entry's."""
+    """Return the channels of residuals from a table of their units and of the channel of each entry, (N, D)."""
     units = tuple(residual_unit(unit).symbol for unit in table["units"])
     index = np.array(table["index"], dtype=np.int8)
     return Channels(units, tuple(table["vectors"]), index.reshape(len(index), -1))
@@ -99,23 +99,10 @@ def _prior_std_key(family: str) -> str:
     return f"{family}_{FAMILIES[family].unit.key}"
 
 
-def _prior_std_table(prior_std: Mapping[str, float]) -> dict[str, float]:
-    """Return prior standard deviations by the family's name with its unit, in place of its name."""
-    return {_prior_std_key(family): std for family, std in prior_std.items()}
-
-
 def _read_prior_std(table: Json) -> dict[str, float]:
-    """Return prior standard deviations by family, of those families that the table has."""
+    """Return prior standard deviations by the family's name, from a table by `_prior_std_key`."""
     keys = {family: _prior_std_key(family) for family in FAMILIES}
     return {family: float(table[key]) for family, key in keys.items() if key in table}
-
-
-def _ties_table(ties: Mapping[str, tuple[str, float]]) -> list[dict[str, Any]]:
-    """Return tied parameters as a list, a row for each: x_name = factor x_other."""
-    table = []
-    for name, (other, factor) in ties.items():
-        table.append({"name": name, "other": other, "factor": factor})
-    return table
 
 
 def _read_ranges(table: Any) -> Array:  # noqa: ANN401  any JSON
@@ -125,7 +112,7 @@ def _read_ranges(table: Any) -> Array:  # noqa: ANN401  any JSON
 
 
 def _read_intrinsics(entries: Sequence[float | None] | None) -> Array | None:
-    """Return numbers of a camera from their list, `UNKNOWN` for null in it: infinity."""
+    """Return numbers of a camera, or their standard deviations, from a list; null in it is `UNKNOWN`, infinity."""
     if entries is None:
         return None
     return np.array([UNKNOWN if entry is None else float(entry) for entry in entries])
@@ -141,7 +128,7 @@ def _cameras_table(cameras: Mapping[str, Camera]) -> list[dict[str, Any]]:
 
 
 def _read_cameras(table: Iterable[Json]) -> Mapping[str, Camera]:
-    """Return cameras from their list."""
+    """Return cameras by the names of their stations, from a list as `_cameras_table` makes it."""
     return ReadOnlyMapping({row["station"]: _LAYOUT.read(Camera, row) for row in table})
 
 
@@ -155,7 +142,7 @@ def _boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
 
 
 def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
-    """Return printed boards from their list."""
+    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it."""
     boards = {}
     for row in table:
         # A key that came later, with a default, is missing in older files.
@@ -169,7 +156,11 @@ def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
 
 
 #: The prior standard deviations of families.
-_PRIOR_STD = Key("prior_std", _prior_std_table, _read_prior_std)
+_PRIOR_STD = Key(
+    "prior_std",
+    lambda prior_std: {_prior_std_key(family): std for family, std in prior_std.items()},
+    _read_prior_std,
+)
 
 #: Where attributes stand in the file, by class: each has its own name as its key unless it is listed. None: not in the
 #: file by itself; a path that ends in a dot, or an empty one: the part's keys stand among the others. See `JsonLayout`.
@@ -233,7 +224,10 @@ _LAYOUT: JsonLayout = JsonLayout(
             "frozen": "model.frozen",
             "ties": Key(
                 "model.ties",
-                _ties_table,
+                lambda ties: [
+                    {"name": name, "other": other, "factor": factor}
+                    for name, (other, factor) in ties.items()
+                ],
                 lambda table: {row["name"]: (row["other"], float(row["factor"])) for row in table},
             ),
             "prior_std_from": "noise.prior_std_from",
@@ -312,38 +306,14 @@ def result_table(c: Calibration) -> dict[str, Any]:
     Returns:
         The tables of docs/result-json.md, in SI units, the unit in the suffix of each key.
     """
-    table = nested(_derived_values(c) | _LAYOUT.entries(c))
-    if c.non_geometric is not None:
-        table["non_geometric"] |= {
-            "errors": table["errors"]["non_geometric"],
-            "model": _model_table(c.non_geometric.model),
-        }
-    table["plugins"] = plugins.plugin_tables(_registered_names(table))
-    return table
-
-
-def _registered_names(table: Json) -> dict[str, set[str]]:
-    """Return the names of families, kinds, solvers and parameter sets that a result uses, by the keys of `WORDS`."""
-    models = [table["model"]]
-    if table["non_geometric"] is not None:
-        models.append(table["non_geometric"]["model"])
-    families = {term["family"] for model in models for term in model["terms"]}
-    return {
-        "families": families - {*SETUP},
-        "kinds": {*table["rows"]["kinds"]},
-        "solvers": {table["solver"]["name"]},
-        "models": {model["set"].partition("+")[0] for model in models},
-    }
-
-
-def _derived_values(c: Calibration) -> dict[str, Any]:
-    """Return what the file has besides the attributes of a result, by its path: most of it for other programs."""
     robot, urdf = c.nominal, c.nominal.urdf
     target_given = c.setup.target_given[0]
     errors = {}
     for name, sets in c.errors.items():
         errors[name] = {rows: error_table(of_rows) for rows, of_rows in sets.items()}
-    return {
+
+    # What the file has besides the attributes of a result, by its path: most of it for other programs.
+    derived = {
         "schema": SCHEMA,
         "robot": {
             "name": robot.name,
@@ -365,6 +335,28 @@ def _derived_values(c: Calibration) -> dict[str, Any]:
         "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),
         "inputs.measurements.rows": len(c.rows),
         "versions": versions(),
+    }
+    table = nested(derived | _LAYOUT.entries(c))
+    if c.non_geometric is not None:
+        table["non_geometric"] |= {
+            "errors": table["errors"]["non_geometric"],
+            "model": _model_table(c.non_geometric.model),
+        }
+    table["plugins"] = plugins.plugin_tables(_registered_names(table))
+    return table
+
+
+def _registered_names(table: Json) -> dict[str, set[str]]:
+    """Return the names of families, kinds, solvers and parameter sets that a result uses, by the keys of `WORDS`."""
+    models = [table["model"]]
+    if table["non_geometric"] is not None:
+        models.append(table["non_geometric"]["model"])
+    families = {term["family"] for model in models for term in model["terms"]}
+    return {
+        "families": families - {*SETUP},
+        "kinds": {*table["rows"]["kinds"]},
+        "solvers": {table["solver"]["name"]},
+        "models": {model["set"].partition("+")[0] for model in models},
     }
 
 
@@ -447,12 +439,20 @@ def read_result(path: str | Path) -> Calibration:
 
 def _calibration(table: Json, folder: Path) -> Calibration:
     """Return a result from its tables; meshes are looked for beside the URDF, if that is in the file's folder."""
-    nominal = _nominal(table, folder)
+    # The nominal robot, with its base, tip, held joint values and coupled readings.
+    robot, stored = table["robot"], table["inputs"]["urdf"]
+    data = stored["text"].encode("utf-8", "surrogateescape")
+    urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
+    held = {row["joint"]: float(row["value"]) for row in robot["held"]}
+    coupling = coupling_of_table(robot.get("coupling", ()))  # files of earlier versions have none
+    nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held, coupling=coupling)
+
     geometry = FittedModel(**_model_values(FittedModel, table, nominal))
     non_geometric = None
     if table["non_geometric"] is not None:
         values = _model_values(NonGeometric, table["non_geometric"], nominal)
         non_geometric = NonGeometric(**values)
+
     parts = _LAYOUT.values(Calibration, table, excluded=("geometry", "non_geometric"))
     lengths = len(parts["rows"].ranges), len(parts["rows"])
     if lengths != (len(nominal.joint_names), table["inputs"]["measurements"]["rows"]):
@@ -486,21 +486,23 @@ def is_result_file(given: object) -> TypeGuard[str | Path]:
     return isinstance(given, (str, Path)) and Path(given).suffix.lower() == ".json"
 
 
-def _nominal(table: Json, folder: Path) -> Robot:
-    """Return the nominal robot, its base, tip, held joint values and coupled readings, from the tables of a result."""
-    robot, stored = table["robot"], table["inputs"]["urdf"]
-    data = stored["text"].encode("utf-8", "surrogateescape")
-    urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
-    held = {row["joint"]: float(row["value"]) for row in robot["held"]}
-    coupling = coupling_of_table(robot.get("coupling", ()))  # files of earlier versions have none
-    return Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held, coupling=coupling)
-
-
 def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[str, Any]:
     """Return the arguments of a fitted model, geometric or not, from its table; its kinematics follow from them."""
     values = _LAYOUT.values(kind, table)
-    names = [parameter.name for parameter in values["parameters"]]
-    model = _model_of(table["model"], names)
+
+    # The error model, see `_model_table`; its parameters are in the order of x.
+    of_model = table["model"]
+    terms = tuple(_LAYOUT.read(Parameter, term) for term in of_model["terms"])
+    by_name = {term.name: term for term in terms}
+    parameters = tuple(by_name[estimate.name] for estimate in values["parameters"])
+    name, places = of_model["set"], tuple(of_model["places"])
+    if of_model["mixing"] is not None:
+        mixing = np.array(of_model["mixing"], dtype=np.float64).reshape(len(terms), len(parameters))
+        model = ErrorModel(name, places, parameters, terms, read_only(mixing))
+    elif parameters == terms:
+        model = ErrorModel(name, places, terms)
+    else:
+        raise ValueError("'parameters' and 'model.terms' name other parameters")
 
     # No number of parameters, covariance, frames or targets may be missing (NaN).
     x, covariance, setup = values["x"], values["covariance"], values["setup"]
@@ -537,17 +539,3 @@ def _model_table(model: ErrorModel) -> dict[str, Any]:
     mixing = None if model.terms is model.parameters else model.mixing
     terms = [_LAYOUT.table(term) for term in model.terms]
     return {"set": model.name, "places": model.places, "terms": terms, "mixing": mixing}
-
-
-def _model_of(table: Json, names: Sequence[str]) -> ErrorModel:
-    """Return an error model from its table, the parameters of these names in the order of x; see `_model_table`."""
-    terms = tuple(_LAYOUT.read(Parameter, term) for term in table["terms"])
-    by_name = {term.name: term for term in terms}
-    parameters = tuple(by_name[name] for name in names)
-    places = tuple(table["places"])
-    if table["mixing"] is not None:
-        mixing = np.array(table["mixing"], dtype=np.float64).reshape(len(terms), len(names))
-        return ErrorModel(table["set"], places, parameters, terms, read_only(mixing))
-    if parameters != terms:
-        raise ValueError("'parameters' and 'model.terms' name other parameters")
-    return ErrorModel(table["set"], places, terms)

@@ -10,11 +10,11 @@ import numpy as np
 from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, still_joints
-from calib.diagnosis.joint_senses import doubtful_senses
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
+from calib.diagnosis.usual_mistakes import doubtful_senses
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.special_cases.arm_size import measures_length
@@ -52,8 +52,17 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     """
     m, cell = result.fit.measurements, result.fit.cell
     fitted = result.fit.non_geometric or result.fit.geometry
+
+    # Targets that the user gave and that were estimated far from there.
+    given, setup = result.nominal_setup, result.setup
+    for t, name in enumerate(setup.targets):
+        if setup.target_given[t] and setup.target_unknown[t]:
+            change = setup.T_tip_target[t, :3, 3] - given.T_tip_target[t, :3, 3]
+            distance = float(np.linalg.norm(change))
+            if distance > _ELSEWHERE:
+                yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
+
     few, chosen = _thin(fitted)
-    yield from _given_targets(result)
     yield from contradicted_values(few, scale_certified=cell.scale_certified)
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
@@ -79,7 +88,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
 
 def _is_named_model(result: Calibration) -> bool:
-    """Return whether the user named the model, so that no larger one was tried."""
+    """Return whether the user of a result named its model, so that no larger one was tried."""
     return not result.method.candidates and has_weights_and_priors(result.method.solver)
 
 
@@ -110,21 +119,6 @@ def _thin(fitted: Fitted) -> tuple[Fitted, Mask]:
         weights=estimate.weights[chosen],
     )
     return replace(fitted, estimate=thinned), chosen
-
-
-# Given values
-
-
-def _given_targets(result: Calibration) -> Iterator[Reason]:
-    """Doubt targets that the user gave and that were estimated far from there."""
-    given, estimated = result.nominal_setup, result.setup
-    for t, name in enumerate(estimated.targets):
-        if not (estimated.target_given[t] and estimated.target_unknown[t]):
-            continue
-        change = estimated.T_tip_target[t, :3, 3] - given.T_tip_target[t, :3, 3]
-        distance = float(np.linalg.norm(change))
-        if distance > _ELSEWHERE:
-            yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
 
 def noise_doubts(

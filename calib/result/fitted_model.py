@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only
-from calib.diagnosis.extrapolation import extrapolation
+from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
@@ -129,7 +129,11 @@ class FittedModel(Value):
         kinematics, x, rows = fitted.kinematics, fitted.estimate.x, fitted.estimate.problem.rows
         base_motion = None
         if not any(kind.tells_place for kind in rows.present):
-            base_motion = _compensating_base_motion(kinematics, x, rows.samples)
+            # The rigid motion nearest, by least squares, to what a unit of each parameter does at the measured poses.
+            count = min(len(rows), _MOST_MEASURED)
+            spread = np.linspace(0, len(rows) - 1, count).astype(int)
+            poses, twists = twists_in_base(kinematics, x, rows.samples.select(spread))
+            base_motion = read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
         model = cls(
             kinematics=kinematics,
             x=x,
@@ -221,7 +225,10 @@ class FittedModel(Value):
         return read_only(np.sqrt(np.maximum(variance, 0.0)))
 
     def _expected_error(self, samples: Samples) -> float:
-        """Standard deviation of the predicted position, rms over samples [m]; in the base if it has a motion there."""
+        """Return the standard deviation of predicted positions, rms over the first samples [m].
+
+        They are predicted in the base if the model has a ``base_motion``, else in each sample's measurement frame.
+        """
         first = samples.select(slice(0, _MOST_EXPECTED))
         return rms(self.pose_std(first, in_base=self.base_motion is not None)[:, 0])
 
@@ -352,17 +359,6 @@ def _data_gradient(fitted: Fitted) -> Array:
     # Measured minus predicted in standard deviations, (m,), and its derivative by the parameters, (m, p).
     residual, jacobian = without_priors.system(x)
     return -residual @ jacobian
-
-
-def _compensating_base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
-    """Return `FittedModel.base_motion`: the rigid motion nearest to what a unit of each parameter does at the samples.
-
-    Nearest by least squares, to the displacements of the target in the base.
-    """
-    count = min(len(samples), _MOST_MEASURED)
-    spread = np.linspace(0, len(samples) - 1, count).astype(int)
-    poses, twists = twists_in_base(kinematics, x, samples.select(spread))
-    return read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
 
 
 def twists_in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:

@@ -23,7 +23,6 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
-from calib.result.image_errors import errors_at_board
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +74,7 @@ class ResultRows(Value):
     ranges: Array
     #: Validation rows outside of these ranges
     outside: tuple[OutsideRow, ...]
-    #: Shape (N,), length at the board that a pixel is [m/px]; NaN in rows that are not images, None without images. See
-    #: `calib.result.image_errors`
+    #: Shape (N,), length at the board that a pixel is [m/px]; NaN in rows that are not images, None without images
     metres_per_pixel: Array | None = None
 
     def __len__(self) -> int:
@@ -92,6 +90,11 @@ class ResultRows(Value):
     def validation(self) -> Mask:
         """True for the rows that were only predicted, whose entry of ``sets`` is not ``"estimate"``, shape (N,)."""
         return ~self.estimation
+
+    @property
+    def flagged(self) -> Mask:
+        """True for the flagged rows, outliers among the estimation rows and suspects among the others, shape (N,)."""
+        return np.isin(self.numbers, [outlier.row for outlier in (*self.outliers, *self.suspects)])
 
     @property
     def nominal_is_judged(self) -> bool:
@@ -159,6 +162,24 @@ class ResultRows(Value):
         return errors_at_board(
             validation.residual, self.channels.select(rows), self.metres_per_pixel[rows]
         )
+
+
+def errors_at_board(residual: Array, channels: Channels, scale: Array) -> Errors:
+    """Summarise the residuals of images as lengths at the board, across the line of sight.
+
+    An error of e pixels of a corner at the depth Z is e Z / f there, with the focal length f [px].
+
+    Args:
+        residual: shape (N, D), measured minus predicted; those in pixels count.
+        channels: The channel of each entry.
+        scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are not images.
+
+    Returns:
+        Figures in metres.
+    """
+    images = channels.where("px")
+    lengths = np.where(images, residual, 0.0) * np.where(np.isfinite(scale), scale, 0.0)[:, None]
+    return Errors.of(lengths, Channels.of_unit(images))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

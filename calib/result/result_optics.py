@@ -18,7 +18,6 @@ from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
-from calib.data.cell import Cell
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.model.parameters import BOARD, CAMERA, Parameter
@@ -41,14 +40,6 @@ class ResultOptics(Value):
     cameras: Mapping[str, Camera] = field(default_factory=ReadOnlyMapping)
     #: Boards with their squares as estimated: as given, times 1 plus the mean error of scale
     boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
-
-    def given_to(self, cell: Cell) -> Cell:
-        """Return a cell with the cameras and boards that the fit began with, if it gives none of its own."""
-        return replace(
-            cell,
-            cameras=cell.cameras or self.nominal_cameras,
-            boards=cell.boards or self.nominal_boards,
-        )
 
 
 def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOptics:

@@ -37,13 +37,13 @@ def blocks_text(blocks: Iterable[Block]) -> str:
 
 
 def _bullet_lines(bullets: Bullets) -> list[str]:
-    """Write an item a line, after the lead; nothing without items."""
+    """Return the lines of a list of sentences for a terminal: its lead, and each item; none without items."""
     lines = [wrap(item, bullets.indent) for item in bullets.listed(TERMINAL)]
     return [wrap(bullets.lead), *lines] if lines and bullets.lead else lines
 
 
 def _table_lines(table: Table) -> list[str]:
-    """Align a table, its title above or at the head of the names; rows beyond the most are counted."""
+    """Return the lines of a table for a terminal, its title above or at the head of the names; others are counted."""
     if not table.rows:
         return []
     first, *others = table.columns

@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.basics.arrays import Mask
 from calib.result.calibration import Calibration
-from calib.show.measured_rows import flagged_rows
 
 #: Colour of the nominal robot.
 NOMINAL = "#45709c"
@@ -109,7 +108,7 @@ class RowKind(NamedTuple):
 def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
     """Return estimation rows, validation rows and flagged rows of either set; each row is in one, none is empty."""
     m = c.fit.measurements
-    flagged = flagged_rows(c)
+    flagged = c.rows.flagged
     kinds = (
         RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2),
         RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0),

@@ -1,23 +1,12 @@
-"""The rows of a calibration: which of them are flagged, and where their targets were measured."""
+"""Where the targets of measured rows were: frame and target of each row, and positions in the base."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, rigid_inverse
+from calib.basics.arrays import Array, rigid_inverse
 from calib.data.measurements import Measurements
 from calib.fit.registration.setup import Setup
-from calib.result.calibration import Calibration
-
-
-def flagged_rows(c: Calibration) -> Mask:
-    """Return the mask of the flagged rows of a calibration, shape (N,).
-
-    They are the outliers among the estimation rows, and the suspects among the validation rows.
-    """
-    flagged = [*c.rows.outliers, *c.rows.suspects]
-    numbers = [outlier.row for outlier in flagged]
-    return np.isin(c.fit.measurements.rows, numbers)
 
 
 def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:

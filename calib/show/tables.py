@@ -140,7 +140,7 @@ def format_cells(
 
 
 def _has_value(cell: Cell) -> bool:
-    """Return True if a cell is neither empty nor NaN."""
+    """Return True if a cell of a table, a text or number, is neither empty nor NaN."""
     return not math.isnan(cell) if isinstance(cell, float) else bool(cell)
 
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.show.lines import listed, mm, plural
-from calib.show.sizes import absurd_size, sizes_of
-from calib.show.words import joint_unit
+from calib.show.words import absurd_size, joint_unit, sizes_of
 
 _DEG = float(np.degrees(1.0))
 
@@ -330,7 +329,7 @@ def _percent(share: float) -> str:
 
 
 def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]:
-    """Word which rows alone determine the errors of which joint; rows and joints correspond."""
+    """Word which rows, by number, alone determine the errors of which joint, one for each row, for `SENTENCES`."""
     rows_of_joint: dict[str, list[str]] = {}
     for row, joint in zip(rows, joints, strict=True):
         rows_of_joint.setdefault(joint, []).append(str(row))

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from calib.camera.lenses import LENSES
 from calib.camera.planar_pose import planar_pose
 from calib.data.columns import COVARIANCE
-from calib.data.covariances import may_have_covariance
 from calib.data.kinds import get, names
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
@@ -44,7 +43,7 @@ def lines_of(covariances, names=COVARIANCE, more="", cells=""):
 
 
 def test_only_whole_poses_have_one():
-    assert [name for name in names() if may_have_covariance(get(name))] == ["pose"]
+    assert [name for name in names() if get(name).may_have_covariance] == ["pose"]
 
 
 def test_a_table_of_covariances_is_read(tmp_path):

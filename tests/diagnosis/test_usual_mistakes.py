@@ -20,6 +20,7 @@ from calib.diagnosis.usual_mistakes import (
     _counts_of_turned_joints,
     _some_rows,
     check_positions,
+    doubtful_senses,
     find_usual_mistake,
 )
 from calib.errors import MeasurementError
@@ -359,3 +360,37 @@ def test_the_last_joint_turns_a_target_on_its_axis_and_does_not_move_it(
     for name, value in values.items():
         assert told.values[name] == pytest.approx(value)
     assert told.values["error_rad"] < 0.05 < 1.0 < told.values["given_rad"]
+
+
+# Senses of joints: each one reversed in turn is named, and one that did not move is said to be unknown
+
+
+def senses_found(q, reverse=None):
+    m = images.table(q, noise=0.1)
+    joints = m.joints.copy()
+    if reverse is not None:
+        joints[:, reverse] *= -1.0
+    return list(doubtful_senses(images.arm(), images.cell(), replace(m, joints=joints)))
+
+
+def test_right_senses_are_not_doubted():
+    assert senses_found(images.poses(12)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", range(7))
+def test_a_reversed_joint_is_named(joint):
+    q = images.poses(12)
+    q[:, joint] += 0.05  # none is about zero
+    reasons = senses_found(q, joint)
+    assert [reason.why for reason in reasons if reason.why is Why.SENSE_REVERSED]
+    assert reasons[0].values["joint"] == images.arm().joint_names[joint]
+    assert reasons[0].values["error_m"] < 0.5 * reasons[0].values["given_m"]
+
+
+def test_the_sense_of_a_joint_that_stood_still_is_unknown():
+    q = images.poses(12)
+    q[:, 2] = 1e-4
+    (reason,) = senses_found(q)
+    assert reason.why is Why.SENSE_UNKNOWN
+    assert reason.values["joints"] == images.arm().joint_names[2]

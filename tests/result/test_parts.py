@@ -1,4 +1,4 @@
-"""The rows of a result: their images, and their errors at the board."""
+"""The rows of a result: their images, flags, and errors at the board."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.basics.channels import Channels
 from calib.result.calibrate import calibrate
+from calib.result.parts import errors_at_board
 from tests.images import BOARD, arm, cell, poses, table
 
 
@@ -18,6 +20,16 @@ def test_images_are_counted_where_all_rows_are_corners(default_result):
     assert rows.images_of(rows.estimation) == 2
     assert rows.images_of(np.ones(4, dtype=bool)) == 0  # one is not a corner
     assert replace(rows, images=()).images_of(rows.estimation) == 0
+
+
+def test_lengths_are_pixels_times_their_length():
+    measured = np.array([[True, True], [True, True], [False, False]])
+    residual = np.array([[3.0, 4.0], [0.0, 1.0], [9.0, 9.0]])
+    scale = np.array([1e-3, 2e-3, np.nan])
+    errors = errors_at_board(residual, Channels.of_unit(measured, "px"), scale)["m"]
+    assert errors.n == 2
+    assert errors.max == pytest.approx(5e-3)
+    assert errors.mean == pytest.approx(3.5e-3)
 
 
 def test_errors_of_images_are_lengths_at_the_board():
@@ -48,3 +60,10 @@ def test_without_images_there_are_no_errors_at_the_board(default_result):
     c = default_result
     assert c.rows.errors_at_board == {}
     assert c.rows.held_out_errors_at_board(c.cross_validation) is None
+
+
+def test_flagged_are_outliers_and_suspects(calibrations):
+    c = calibrations.made("with_outliers")
+    flagged = {outlier.row for outlier in (*c.rows.outliers, *c.rows.suspects)}
+    assert flagged
+    assert {c.fit.measurements.rows[k] for k in np.flatnonzero(c.rows.flagged)} == flagged

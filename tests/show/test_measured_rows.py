@@ -1,17 +1,10 @@
-"""Values of rows: sizes of errors, flags, and positions in the base frame."""
+"""Frame and target of each row, and measured positions in the base frame."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from calib.show.measured_rows import flagged_rows, measured_in_base, setup_of_rows
-
-
-def test_flagged_are_outliers_and_suspects(calibrations):
-    c = calibrations.made("with_outliers")
-    flagged = {outlier.row for outlier in (*c.rows.outliers, *c.rows.suspects)}
-    assert flagged
-    assert {c.fit.measurements.rows[k] for k in np.flatnonzero(flagged_rows(c))} == flagged
+from calib.show.measured_rows import measured_in_base, setup_of_rows
 
 
 def test_each_row_has_the_frame_and_target_that_it_names(calibrations):

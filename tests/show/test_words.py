@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,15 @@ import pytest
 from calib.diagnosis.coverage import Beyond, OutsideRow
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
-from calib.show.words import before_and_after, outside_text, rms_text
+from calib.show.words import (
+    absurd_size,
+    before_and_after,
+    outside_text,
+    rms_text,
+    shown,
+    sizes_of,
+    with_unit,
+)
 from tests.parts import with_part
 from tests.residuals import lengths_and_angles
 
@@ -59,3 +68,30 @@ def test_without_held_out_rows_the_errors_are_those_of_validation_or_fitted_rows
 def test_the_rms_error_has_its_units(residual, used, text):
     channels = None if used is None else lengths_and_angles(used)
     assert rms_text(Errors.of(residual, channels)) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [(2.5e-3, "m", "2.500 mm"), (0.01, "rad", "0.5730 deg"), (1.25, "px", "1.250 px")],
+)
+def test_each_unit_has_its_own(value, unit, text):
+    assert with_unit(value, unit) == text
+    assert shown(value, unit, 1) == f"{float(text.split()[0]):.1f}"
+
+
+def test_what_does_not_exist_is_a_dash():
+    assert shown(math.nan, "m") == "-"
+
+
+def test_the_sizes_of_a_reason_are_in_the_order_of_the_units():
+    values = {"after_px": 0.5, "after_m": 1e-3, "before_m": 2e-3}
+    assert sizes_of(values, "after") == ["1.000 mm", "0.500 px"]
+    assert sizes_of(values, "after", ".0f") == ["1 mm", "0 px"]
+    assert sizes_of(values, "noise") == []
+
+
+def test_only_what_no_arm_does_is_absurd():
+    values = {"before_m": 0.019, "before_rad": 0.2, "after_m": 0.021}
+    assert absurd_size(values, "before") == "11 deg"
+    assert absurd_size(values, "after") == "21 mm"
+    assert absurd_size({"after_m": 0.0199}, "after") == ""

@@ -10,7 +10,6 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.channels import Channels, channels_of, residual_unit
 from calib.basics.values import ReadOnlyMapping
-from calib.data.covariances import may_have_covariance
 from calib.data.kinds import Kind
 from calib.model.internals import InternalValues
 from calib.model.kinematics import Samples, Sightings, SightingsOrPoses
@@ -109,7 +108,7 @@ class Rows:
         stated = self.covariances
         if stated is None:
             return None
-        poses = self.where(may_have_covariance)
+        poses = self.where(lambda kind: kind.may_have_covariance)
         chosen = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
         if not len(chosen):
             return None

@@ -12,7 +12,6 @@ from calib.basics.channels import RESIDUAL_UNITS, VECTOR, Channels
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration
 from calib.show.look import AFTER, BEFORE, INK, SOFT, RobotStyle, row_kinds, rows_text
-from calib.show.measured_rows import flagged_rows
 from calib.show.plotting import few_ticks, legend_above, log_axis, new_figure, number_points
 
 if TYPE_CHECKING:
@@ -146,7 +145,7 @@ def by_row(c: Calibration, unit: str = "m") -> Figure:
     _curve(top, rows, after, AFTER)
 
     # After calibration: each row, held-out ones as dashes, up to the largest that is not flagged.
-    flagged = flagged_rows(c)
+    flagged = c.rows.flagged
     reach = float(np.nanmax(after[~flagged], initial=1e-3))
     kinds = [kind for kind in row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
     if len(rows) > _MOST_LINES:
@@ -193,7 +192,7 @@ def by_axis(c: Calibration, unit: str = "m") -> Figure:
     columns, are_vectors = c.rows.channels.vector_columns(unit)
     before = of_unit.to_shown * c.rows.residual_nominal[:, columns]
     after = of_unit.to_shown * c.rows.residual_calibrated[:, columns]
-    flagged = flagged_rows(c)
+    flagged = c.rows.flagged
     masks = {"estimation": m.estimation & are_vectors, "validation": m.validation & are_vectors}
     sets = {name: mask for name, mask in masks.items() if np.any(mask)}
 

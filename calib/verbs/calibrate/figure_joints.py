@@ -11,7 +11,7 @@ from calib.basics.arrays import Array, Mask
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibration import Calibration
 from calib.show.look import CALIBRATED, INK, row_kinds, short_names
-from calib.show.measured_rows import flagged_rows, setup_of_rows
+from calib.show.measured_rows import setup_of_rows
 from calib.show.plotting import MOST_SHAPES, few_ticks, legend_above, new_figure
 from calib.show.words import joint_unit
 
@@ -59,12 +59,12 @@ def residuals_by_joint(c: Calibration) -> Figure:
         empty.remove()
     parts = 1e3 * along_joints(c)
     parts[~has_joint_parts(c)] = np.nan
-    largest = float(np.nanmax(np.abs(parts[~flagged_rows(c)]), initial=0.0))
+    largest = float(np.nanmax(np.abs(parts[~c.rows.flagged]), initial=0.0))
     reach = max(1.15 * largest, 1e-3)
     readings = c.fit.measurements.joints_for(c.nominal.joint_names)
     values_of_joints = c.nominal.input_values(readings)
     as_pixels = len(readings) > MOST_SHAPES
-    fitted = c.fit.measurements.estimation & has_joint_parts(c) & ~flagged_rows(c)
+    fitted = c.fit.measurements.estimation & has_joint_parts(c) & ~c.rows.flagged
     for j, ax in enumerate(panels.ravel()[:count]):
         scale, unit = joint_unit(prismatic=c.nominal.inputs[j].type == "prismatic")
         values = scale * values_of_joints[:, j]

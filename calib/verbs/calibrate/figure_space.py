@@ -10,7 +10,7 @@ from calib.basics.arrays import Array
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_poses
 from calib.show.look import INK, SOFT, row_kinds
-from calib.show.measured_rows import flagged_rows, measured_in_base, setup_of_rows
+from calib.show.measured_rows import measured_in_base, setup_of_rows
 from calib.show.plotting import (
     MOST_SHAPES,
     VIEWS,
@@ -72,7 +72,7 @@ def points(c: Calibration) -> Figure:
         per_subplot_kw={"space": {"projection": "3d"}},
     )
 
-    numbered = c.fit.measurements.validation | flagged_rows(c)
+    numbered = c.fit.measurements.validation | c.rows.flagged
     pixels = len(places) > MOST_SHAPES
     kinds = row_kinds(c)
     for i, j, name in VIEWS:

@@ -19,7 +19,6 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.instruments.internals import number_corners
 from calib.result.calibration import Calibration
 from calib.show.look import short_names
-from calib.show.measured_rows import flagged_rows
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -156,7 +155,7 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
     held_out = np.full((len(m), 2), np.nan)
     if c.cross_validation is not None:
         held_out[m.estimation] = c.cross_validation.residual[:, :2]
-    flagged = flagged_rows(c)
+    flagged = c.rows.flagged
     # An image without a name is called by the number of its pose, from 1.
     images = [
         image or f"pose {pose + 1}"

@@ -27,7 +27,6 @@ from calib.show.error_tables import (
     sizes_of_errors,
 )
 from calib.show.lines import number
-from calib.show.sizes import with_unit
 from calib.show.tables import (
     MOST_LISTED,
     Cell,
@@ -38,7 +37,7 @@ from calib.show.tables import (
     name_column,
     residual_column,
 )
-from calib.show.words import joint_unit
+from calib.show.words import joint_unit, with_unit
 from calib.verbs.calibrate.text import errorless, held_out_text, shown_parameters
 
 #: Number of validation rows listed if there are more than `MOST_LISTED`: those with the largest errors.

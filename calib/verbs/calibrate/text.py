@@ -18,8 +18,7 @@ from calib.result.fitted_model import ParameterEstimate
 from calib.result.parts import Outlier
 from calib.show.error_tables import measured_lengths
 from calib.show.lines import listed, mm, plural
-from calib.show.sizes import shown, with_unit
-from calib.show.words import before_and_after, chain_name, rms_text
+from calib.show.words import before_and_after, chain_name, rms_text, shown, with_unit
 
 #: Outliers, or their images, that are listed; the others are counted.
 _LISTED = 12

@@ -25,9 +25,8 @@ from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
 from calib.result.joint_zeros import HELD_OUT, JointZeros
 from calib.show.lines import fill, number
-from calib.show.sizes import shown
 from calib.show.tables import Column, name_column, table_lines
-from calib.show.words import joint_unit
+from calib.show.words import joint_unit, shown
 from calib.verbs.convert.format import Conversion, Source
 
 #: Decimals of zeros and their standard deviations [deg, mm].

@@ -318,7 +318,7 @@ def assess(
     if calibration is None:
         evaluations["urdf"] = evaluate(robot, table, cell)
     else:
-        cell = calibration.optics.given_to(cell)
+        cell = calibration.complete_cell(cell)
         nominal, corrected = calibration.uncorrected(robot), calibration.corrected(robot)
         setup = calibration.setup
         if calibration.rows.nominal_is_judged:

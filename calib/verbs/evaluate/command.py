@@ -178,9 +178,9 @@ def evaluate(
         contents = read_bytes(calibration, "calibration result")
         name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
         cell = with_chain_of_result(cell, result, str(calibration))
-    boards = cell.boards or ({} if result is None else result.optics.nominal_boards)
-    cameras = cell.cameras or ({} if result is None else result.optics.nominal_cameras)
-    with table_of(data, list(boards.values()), list(cameras.values()), quiet=quiet) as path:
+    completed = cell if result is None else result.complete_cell(cell)
+    boards, cameras = list(completed.boards.values()), list(completed.cameras.values())
+    with table_of(data, boards, cameras, quiet=quiet) as path:
         arm, measurements = load_with_data(robot, cell, path, table_options)
 
     target_source = "as given"

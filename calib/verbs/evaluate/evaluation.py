@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -23,13 +23,13 @@ from calib.data.record import BLANK, Record
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, ModelError, choices
 from calib.fit.registration.registration import nominal_setup, register_held_out
+from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
 from calib.numerics.errors import Errors
 from calib.result.fitted_model import NonGeometric
-from calib.result.image_errors import ImageFigures, length_of_pixels
 from calib.robot.robot import Robot
 
 #: Places that may be taken from an earlier result.
@@ -46,6 +46,67 @@ _SCALARS_PER_UNKNOWN = 3
 
 #: An rms error up to this needs no explanation [m].
 _SMALL = 1e-4
+
+
+#: Percentile of the errors of images that is reported besides mean and largest error.
+_PERCENTILE = 95.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFigures:
+    """Errors of images in pixels and at the board; the error of a corner is the distance of its image.
+
+    An error of e pixels of a corner at the depth Z is e Z / f at the board, across the line of sight, with the focal
+    length f [px].
+    """
+
+    #: Number of images, and of corners in them
+    images: int
+    corners: int
+    #: Mean of the errors, the 95th percentile, and the largest [px]
+    mean: float
+    p95: float
+    largest: float
+    #: Mean residual, measured minus predicted, along u and along v [px]
+    bias: tuple[float, float]
+    #: Mean, 95th percentile and largest error as a length at the board [m]
+    mean_at_board: float
+    p95_at_board: float
+    largest_at_board: float
+
+    @classmethod
+    def of(
+        cls, residual: Array, scale: Array, rows: Rows, names: Sequence[str]
+    ) -> ImageFigures | None:
+        """Summarise the residuals of images.
+
+        Args:
+            residual: shape (N, D), measured minus predicted.
+            scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are not images.
+            rows: The N rows.
+            names: Name of the image of each row; without names, a pose has one image.
+
+        Returns:
+            The figures; None if no row is an image.
+        """
+        images = np.isfinite(scale)
+        if not np.any(images):
+            return None
+        uv = residual[images][:, :2]
+        errors = np.linalg.norm(uv, axis=1)
+        lengths = errors * scale[images]
+        bias = uv.mean(axis=0)
+        return cls(
+            images=len({(rows.blocks[i], names[i]) for i in np.flatnonzero(images).tolist()}),
+            corners=int(np.sum(images)),
+            mean=float(errors.mean()),
+            p95=float(np.percentile(errors, _PERCENTILE)),
+            largest=float(errors.max()),
+            bias=(float(bias[0]), float(bias[1])),
+            mean_at_board=float(lengths.mean()),
+            p95_at_board=float(np.percentile(lengths, _PERCENTILE)),
+            largest_at_board=float(lengths.max()),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -195,7 +256,10 @@ def evaluate(
 
     sightings = placed.sightings(T_base_tip, rows.samples)
     residual = rows.residual(sightings)
-    scale = length_of_pixels(sightings, rows)
+    images = None
+    if np.any(rows.is_image):
+        scale = rows.lengths_per_unit(sightings)
+        images = ImageFigures.of(residual, scale, rows, table.images)
     return Evaluation(
         robot=arm,
         measurements=table,
@@ -206,7 +270,7 @@ def evaluate(
         record=known_cell.record,
         cameras=known_cell.cameras,
         boards=known_cell.boards,
-        images=None if scale is None else ImageFigures.of(residual, scale, rows, table.images),
+        images=images,
     )
 
 

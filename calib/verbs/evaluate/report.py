@@ -32,9 +32,8 @@ from calib.show.blocks import (
 from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn
 from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import listed
-from calib.show.sizes import with_unit
 from calib.show.verdict_text import reason_text
-from calib.show.words import chain_name, kinds_text
+from calib.show.words import chain_name, kinds_text, with_unit
 from calib.verbs.evaluate import tables
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.evaluation import Evaluation

@@ -19,7 +19,6 @@ from calib.show.error_tables import (
     error_title,
 )
 from calib.show.lines import WIDTH, number, plural
-from calib.show.sizes import shown
 from calib.show.tables import (
     MOST_LISTED,
     Cell,
@@ -29,6 +28,7 @@ from calib.show.tables import (
     name_column,
     residual_column,
 )
+from calib.show.words import shown
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.accuracy import FEWEST_REPEATS, Accuracy, PoseAccuracy
 from calib.verbs.evaluate.characteristics import DRIFT_REPEATS, Characteristic

@@ -11,9 +11,8 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import one_line
 from calib.errors import choices
 from calib.show.lines import listed, mm, plural, times
-from calib.show.sizes import shown, with_unit
 from calib.show.verdict_text import reason_text
-from calib.show.words import chain_name, outside_text, rms_text
+from calib.show.words import chain_name, outside_text, rms_text, shown, with_unit
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment, Check
 from calib.verbs.evaluate.accuracy import FEWEST_APART, PoseAccuracy
 from calib.verbs.evaluate.evaluation import Evaluation

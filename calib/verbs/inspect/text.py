@@ -17,9 +17,8 @@ from calib.show.as_text import blocks_text
 from calib.show.blocks import Block, Bullets, Paragraph
 from calib.show.lines import deg, listed, mm
 from calib.show.robot_sentences import coupling_sentence, rows_sentence
-from calib.show.sizes import with_unit
 from calib.show.tables import Column, Table, name_column
-from calib.show.words import combination_text, joint_unit
+from calib.show.words import combination_text, joint_unit, with_unit
 from calib.verbs.inspect.inspection import Inspection
 from calib.verbs.plan.forecast import Forecast
 

@@ -21,7 +21,6 @@ from calib.result.calibration import Calibration
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
 from calib.show.measured_rows import (
-    flagged_rows,
     measured_in_base,
     setup_of_rows,
 )
@@ -176,7 +175,7 @@ def view_of(calibration: Calibration, *, accepted: bool = False) -> View:
     m = c.fit.measurements
     before = Evaluation(c.nominal, m, c.nominal_setup, (), c.rows.residual_nominal, c.rows.channels)
     after = Evaluation(c.robot, m, c.setup, (), c.rows.residual_calibrated, c.rows.channels)
-    view = view_at_rows(before, after, flagged_rows(c), c.optics.cameras)
+    view = view_at_rows(before, after, c.rows.flagged, c.optics.cameras)
     if np.array_equal(c.robot.placements, c.nominal.placements):
         meaning = "unchanged: no joint origin was corrected"
     elif not do_not_use_text(c.verdict):
@@ -213,7 +212,7 @@ def view_of_result(
     Returns:
         The view; its errors are those of `calib.evaluate`.
     """
-    cell = result.optics.given_to(cell or Cell())
+    cell = result.complete_cell(cell or Cell())
     before = result.uncorrected(robot)
     after = result.corrected(robot)
     if table is None:

@@ -10,11 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.kinds import get
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.correlated_noise import PoseNoise
+from tests import images
 from tests.covariances import random_covariances
 
 #: Numbers of kinds in the registry.
@@ -300,3 +303,16 @@ def test_some_of_the_rows_keep_their_covariances():
     of_all = rows.standardise(values)
     np.testing.assert_allclose(some.standardise(values[3:])[2], of_all[5], rtol=1e-12)
     assert not rows.select(np.arange(6) < 1).correlated.any()
+
+
+def test_a_pixel_is_as_long_as_the_corner_is_far():
+    robot = images.arm()
+    q = images.poses(8)
+    rows, setup = rows_and_setup(robot, images.table(q, noise=0.1), images.cell())
+    fitted = fit(Task(robot, images.cell(), setup, "frames"), rows)
+    T_camera_base, T_tip_board = images.mounts()
+    T = T_camera_base @ robot.poses(q) @ T_tip_board
+    depth = images.BOARD.corners @ T[:, 2, :3].T + T[:, 2, 3]
+    found = rows.lengths_per_unit(fitted.kinematics.sightings(fitted.estimate.x, rows.samples))
+    expected = depth.T.ravel() / 702.5
+    np.testing.assert_allclose(found, expected, rtol=0.01)

@@ -11,12 +11,14 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.evaluate.acceptance import assess
 from calib.verbs.evaluate.accuracy import accuracy
-from calib.verbs.evaluate.evaluation import _not_given, evaluate, moved_place
+from calib.verbs.evaluate.evaluation import ImageFigures, _not_given, evaluate, moved_place
+from tests import images
 from tests.fits import FREE, TARGETS, TRACKERS
 
 
@@ -193,3 +195,16 @@ def test_nothing_moved_where_nothing_is_known(ur3: Robot, shift: float, count: i
     off = noise * np.random.default_rng(4).normal(size=(count, 3))
     table = Measurements(m.joint_names, m.joints, m.points + off)
     assert moved_place(ur3, table, Cell(), known) is None
+
+
+def test_two_images_of_one_pose_are_two():
+    q = images.poses(3)[[0, 0, 1]]
+    m = images.table(q)
+    rows, _ = rows_and_setup(images.arm(), m, images.cell())
+    residual = np.tile([3.0, 4.0], (len(m), 1))
+    figures = ImageFigures.of(residual, np.full(len(m), 1e-3), rows, m.images)
+    assert (figures.images, figures.corners) == (3, 3 * len(images.BOARD.corners))
+    assert (figures.mean, figures.bias) == (pytest.approx(5.0), (3.0, 4.0))
+    assert figures.largest_at_board == pytest.approx(5e-3)
+    unnamed = ImageFigures.of(residual, np.full(len(m), 1e-3), rows, ("",) * len(m))
+    assert unnamed.images == 2

@@ -13,7 +13,7 @@ from calib.data.cell import Cell
 from calib.errors import ArgumentError, FileError
 from calib.robot.robot import Robot
 from calib.show.as_html import page_bytes
-from calib.show.sizes import shown
+from calib.show.words import shown
 from calib.verbs.evaluate.acceptance import Assessment
 from calib.verbs.evaluate.report import report, summary, write_report
 from tests.show.pages import FULL_RECORD, Page

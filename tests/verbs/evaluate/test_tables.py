@@ -13,8 +13,8 @@ from calib.robot.robot import Robot
 from calib.show.as_text import blocks_text
 from calib.show.blocks import TERMINAL
 from calib.show.lines import mm
-from calib.show.sizes import shown
 from calib.show.tables import format_cells
+from calib.show.words import shown
 from calib.verbs.evaluate.acceptance import Assessment
 from calib.verbs.evaluate.evaluation import evaluate
 from calib.verbs.evaluate.evaluation_file import assessment_table

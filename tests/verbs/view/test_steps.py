@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from calib.robot.robot import Robot
-from calib.show.measured_rows import flagged_rows
 from calib.verbs.evaluate.evaluation import Evaluation
 from calib.verbs.view.steps import rows_of_steps, seen_from_root, typical_step
 from calib.verbs.view.view import view_at_rows
@@ -48,7 +47,7 @@ def test_rows_of_other_kinds_are_steps_of_their_own():
     c = made("paper")
     m = c.fit.measurements
     e = Evaluation(c.nominal, m, c.nominal_setup, (), c.rows.residual_nominal, c.rows.channels)
-    view = view_at_rows(e, e, flagged_rows(c))
+    view = view_at_rows(e, e, c.rows.flagged)
     assert view.measured.images is None
     assert view.labels == tuple(f"row {row}" for row in m.rows)
     expected = np.linalg.norm(c.rows.residual_nominal, axis=1)

@@ -1,4 +1,4 @@
-"""Errors with what is unknown registered: positions in metres, orientations in radians."""
+"""Trials of other inputs: errors with what is unknown registered, and corrections named by code and values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ import pytest
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.misfit import misfit, poses_of_images, with_joints
+from calib.diagnosis.reasons import Why
+from calib.diagnosis.trials import (
+    correct_joints,
+    misfit,
+    poses_of_images,
+    shift_zeros,
+    with_joints,
+)
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -55,3 +62,40 @@ def test_views_as_poses_have_the_boards_poses():
     assert set(result.kinds) == {"pose"}
     assert c.estimate_frame
     assert poses_of_images(arm(), c, result) is None  # these are poses
+
+
+def test_zeros_are_shifted_by_quarter_turns_either_way_and_by_half_a_turn():
+    q = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    trials = list(shift_zeros("b", 1, q))
+    assert {why for _, why, _ in trials} == {Why.JOINT_ZERO}
+    assert [values["joint"] for _, _, values in trials] == ["b"] * 3
+    added = [values["add_rad"] for _, _, values in trials]
+    assert added == pytest.approx([np.pi / 2, -np.pi / 2, np.pi])
+    for (shifted, _, _), turn in zip(trials, added, strict=True):
+        np.testing.assert_allclose(shifted - q, [[0, turn, 0]] * 2, atol=1e-15)
+
+
+def test_each_usual_change_of_six_joints_is_tried(ur3: Robot):
+    q = random_joint_values(ur3, 4, 1)
+    trials = list(correct_joints(ur3, q))
+    count = {why: sum(code is why for _, code, _ in trials) for why in {t[1] for t in trials}}
+    assert count == {
+        Why.JOINT_ZERO: 18,
+        Why.COLUMNS_SWAPPED: 15,
+        Why.COLUMNS_REVERSED: 1,
+        Why.READINGS_COUPLED: 10,
+        Why.WRONG_UNIT: 2,
+    }
+    coupled = [(v, changed) for changed, code, v in trials if code is Why.READINGS_COUPLED]
+    values, changed = coupled[0]
+    assert (values["joint"], values["reading"]) == ur3.joint_names[1::-1]
+    expected = q + values["factor"] * q[:, :1] * np.eye(6)[1]
+    np.testing.assert_allclose(changed, expected, atol=1e-15)
+
+
+def test_a_stated_coupling_is_left_out_in_one_trial(ur3: Robot):
+    pan, lift, *_ = ur3.joint_names
+    coupled = Robot.from_urdf(ur3.urdf, ur3.base, ur3.tip, coupling={lift: {pan: 1.0}})
+    q = random_joint_values(ur3, 4, 1)
+    (without,) = [c for c, why, _ in correct_joints(coupled, q) if why is Why.READINGS_NOT_COUPLED]
+    np.testing.assert_allclose(coupled.poses(without), ur3.poses(q), atol=1e-12)

@@ -1,19 +1,29 @@
-"""Corrections of usual mistakes in a table's columns, each for a trial: other joint values, points or orientations.
+"""Trials of other inputs: poses in place of images, corrected columns, and the errors that a robot has with them.
 
-Each comes with the code of the mistake that it undoes, and the values of its reason.
+A correction of a table's columns undoes a usual mistake: other joint values, points or orientations, with the code of
+the mistake and the values of its reason.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
+from calib.fit.registration.registration import register
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.fit.registration.views import views_as_poses
+from calib.numerics.errors import Errors
 from calib.robot.robot import Robot
 
 #: Other values of some columns, the code of the mistake, and the values of its reason.
@@ -30,6 +40,73 @@ _TURNS_DEG = (90.0, -90.0, 180.0)
 
 #: Factors by which the reading of a joint counts that of the one before it: it is shown against the horizontal.
 _COUPLINGS = (1.0, -1.0)
+
+#: Tolerance of a registration: five digits are enough to compare.
+TOLERANCE = 1e-6
+
+
+# Rows and their errors
+
+
+def misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
+    """Register what the setup leaves unknown, and return the errors of the robot then.
+
+    Args:
+        robot: The robot.
+        setup: Frames and targets, with what is registered.
+        rows: Rows of points or poses.
+
+    Returns:
+        The rms error of positions [m], and of orientations [rad]; the latter is NaN for points.
+    """
+    T_base_tip = robot.poses(rows.joints)
+    registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
+    errors = Errors.of(rows.residual(registered.sightings(T_base_tip, rows.samples)), rows.channels)
+    return errors["m"].rms, errors["rad"].rms
+
+
+def with_joints(rows: Rows, q: Array) -> Rows:
+    """Copy rows with other joint values, shape (N, m) [rad] or [m]."""
+    return replace(rows, samples=replace(rows.samples, q=q))
+
+
+def poses_of_images(
+    robot: Robot, cell: Cell, table: Measurements
+) -> tuple[Measurements, Cell] | None:
+    """Replace a table of images by the poses of the boards that they show, one row a view.
+
+    Args:
+        robot: The nominal robot.
+        cell: The cell as given.
+        table: Rows of any kind.
+
+    Returns:
+        The poses, with the numbers of the first corner of each view, and the cell with cameras as frames that are
+        estimated unless they are given; None unless all rows are corners in images.
+    """
+    if not len(table) or not np.all(table.is_image):
+        return None
+    rows, setup = rows_and_setup(robot, table, cell)
+    views, source_rows = views_as_poses(rows)
+    mask = np.zeros(len(table), dtype=bool)
+    mask[source_rows] = True
+    first = table.select(mask)
+    poses = replace(
+        first,
+        kinds=("pose",) * len(first),
+        points=views.measured[:, :3],
+        rotations=views.measured[:, 3:12].reshape(-1, 3, 3),
+        readings={},
+        board_points=None,
+        sigma={},
+        images=(),
+        corners=(),
+    )
+    estimated = any(bool(directions) for directions in setup.unknown)
+    return poses, replace(cell, estimate_frame=estimated, kind=None)
+
+
+# Corrections of columns
 
 
 def correct_joints(robot: Robot, q: Array) -> Iterator[Correction]:
