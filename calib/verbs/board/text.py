@@ -98,7 +98,7 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
     Args:
         board: The board.
         sheet: The sheet it was drawn on.
-        paper: Name of the paper.
+        paper: Name of the paper, ``"a4"``; `NO_PAPER` for a sheet of any size.
         files: The files written.
 
     Returns:
@@ -130,7 +130,7 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
 
 
 def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
-    """Say what to do with the print."""
+    """Return lines on what to do: print, glue and measure the board, and the command that takes the measured width."""
     width = board.size[0]
     over = f"{board.columns} squares"
     if board.pattern == APRILTAG:

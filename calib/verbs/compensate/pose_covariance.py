@@ -185,7 +185,10 @@ def _left_out(result: Calibration, part: FittedModel) -> Array:
 
 
 def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
-    """Return the derivative of poses by the p parameters and a motion of the base: N samples to (N, 6, p + 6)."""
+    """Return a function that differentiates poses by the p parameters and a motion of the base.
+
+    From N samples it returns their twists, linear part first, (N, 6, p + 6), [m] and [rad] per unit.
+    """
     kinematics, x = part.kinematics, part.x
     if view.T_tip_tool is not None:
         tools = np.broadcast_to(view.T_tip_tool, kinematics.T_tip_target.shape)

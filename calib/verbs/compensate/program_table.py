@@ -171,9 +171,9 @@ def _has_values(table: Table, index: int) -> bool:
 
 
 def _complete_columns(table: Table, named: Named, names: Sequence[str]) -> Columns:
-    """Return the columns of all names; none if all their cells are empty, as in a plan that nobody measured yet.
+    """Return the columns of all names; () if none has a column, or all their cells are empty, as in an unmeasured plan.
 
-    Raises `MeasurementError` if only some of the names have a column.
+    It raises `MeasurementError` if only some of the names have a column.
     """
     columns = [named[name] for name in names if name in named]
     if columns and len(columns) < len(names):

@@ -122,7 +122,10 @@ class DHTables:
         return cls(robot, nominal, after, before)
 
     def added(self) -> list[Added]:
-        """Return what a controller adds to each row."""
+        """Return what a controller adds to each row's theta, or to its d if the joint slides.
+
+        That is a linear function of the readings of the joints: for most rows the reading of the row's own joint.
+        """
         robot = self.robot
         at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0].tolist()
         by_readings = robot.mimic_matrix @ robot.reading_matrix
@@ -142,7 +145,7 @@ class DHTables:
 
     @property
     def notes(self) -> Notes:
-        """Notes for whoever types the rows in."""
+        """Notes on nearly parallel axes, whose numbers are large, and on rows whose own joint has no value."""
         notes = []
         rows = self.after.rows
         pairs = near_parallel(self.robot) if self.after.convention != HAYATI else {}
@@ -323,7 +326,7 @@ def _number(value: float, head: str) -> str:
 
 
 def _write(convention: str | None, source: Source, path: Path, options: Options) -> Notes:
-    """Write DH rows beside the nominal ones, if the nominal robot is another one.
+    """Write DH rows as CSV or JSON, by the ending, beside the nominal ones if the nominal robot is another one.
 
     Without a convention it is that of the rows that the robot was made from, else the standard one.
     """

@@ -194,11 +194,11 @@ class RmsErrors(Value):
 
     @classmethod
     def of(cls, calibration: Calibration, rounded: RoundedZeros) -> RmsErrors:
-        """Compare the errors of a calibration's robots.
+        """Collect the rms errors of nominal robot, joint zeros alone, and whole calibration on the same rows.
 
         Args:
             calibration: The calibration.
-            rounded: Its zeros, rounded.
+            rounded: Its zeros, rounded, with the rows that their errors are of.
         """
         zeros = rounded.zeros
         others: dict[str, Errors] = {}

@@ -80,7 +80,10 @@ class StaticTransform(Value):
 
     @property
     def arguments(self) -> list[str]:
-        """The arguments of static_transform_publisher, numbers with every digit."""
+        """The arguments of static_transform_publisher, each name followed by its value.
+
+        They are --x --y --z [m], --qx --qy --qz --qw, all with every digit, --frame-id and --child-frame-id.
+        """
         values = (*self.T_parent_child[:3, 3].tolist(), *self.quaternion.tolist())
         words = []
         for name, value in zip(_NUMBERS, values, strict=True):

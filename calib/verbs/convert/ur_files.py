@@ -131,7 +131,10 @@ def read_nominal(path: PathLike) -> Array:
 
 
 def _section(path: PathLike, text: str, name: str) -> dict[str, str]:
-    """Return the values of a section by key, which may be in several parts of the file; empty if there is none."""
+    """Return the values of a section by key, as texts; the section may be in several parts of the file, or in none.
+
+    A file that does not have the form of sections raises `FileError`.
+    """
     parser = configparser.ConfigParser(
         strict=False, interpolation=None, inline_comment_prefixes=("#", ";"), default_section=""
     )
@@ -144,7 +147,11 @@ def _section(path: PathLike, text: str, name: str) -> dict[str, str]:
 
 
 def _columns(path: PathLike, values: Mapping[str, str], largest: Mapping[str, float]) -> Array:
-    """Return the six numbers of each key of ``largest``, shape (6, 4), or refuse larger ones."""
+    """Return the lists of six numbers that are the values of some keys, as the columns of an array (6, keys).
+
+    Numbers are in m and rad. If a key has no such list, or a number is larger than ``largest`` has for the key, it
+    raises `FileError`.
+    """
     columns = []
     for key, most in largest.items():
         words = values.get(key, "").strip("[] ").split(",")

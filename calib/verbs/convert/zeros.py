@@ -243,7 +243,11 @@ def offsets_bytes(file: OffsetFile, rounded: RoundedZeros, update: str | Path | 
 def _add_changes(
     file: OffsetFile, rounded: RoundedZeros, table: dict[Any, Any], source: str
 ) -> None:
-    """Add the changes to the offsets in the table of a robot's own file, named ``source`` in messages."""
+    """Add the changes, times any gear ratio, to the offsets in the table of a robot's own file, in place.
+
+    The file is named ``source`` in messages. A joint without an entry, entries in several places, or an offset beyond
+    its limit raises `FileError`.
+    """
     changes, key, largest = rounded.by_joint(), rounded.stored.key, rounded.stored.largest
     places = list(_places(table, changes))
     if len(places) > 1:
@@ -283,7 +287,7 @@ def _places(table: object, names: Mapping[str, float]) -> Iterator[dict[str, Any
 
 
 def _old_offset(file: OffsetFile, entry: Mapping[str, Any], key: str, where: str) -> float:
-    """Return the offset of an entry; `FileError` if it has none that is a number."""
+    """Return the offset of an entry, in a YAML file 0 if it has none; `FileError` for what is not such a number."""
     if file.foreign_key in entry:
         raise FileError(
             f"{where}: it has a '{file.foreign_key}', so this is not a {file.what}. Choose the format of this file "
@@ -299,7 +303,10 @@ def _old_offset(file: OffsetFile, entry: Mapping[str, Any], key: str, where: str
 
 
 def _ratio(file: OffsetFile, entry: Mapping[str, Any], where: str) -> float:
-    """Return the ratio of the change of an offset to that of the joint; `FileError` if it is unknown."""
+    """Return the ratio of the change of an offset to that of the joint, 1 if the entry has none.
+
+    It raises `FileError` if the ratio, or its sign, is not known.
+    """
     if entry.get(file.inverted_key, 0) != 0:
         raise FileError(
             f"{where}: its {file.inverted_key} is {entry[file.inverted_key]}: whether the joint's reading grows with "
@@ -371,7 +378,10 @@ LEROBOT_DYNAMIXEL_JSON = LEROBOT_JSON._replace(
 
 
 def _write(file: OffsetFile | None, source: Source, path: Path, options: Options) -> Notes:
-    """Write the joint zeros of a result into a file with offsets, or into a table if ``file`` is None."""
+    """Write the joint zeros of a result into a file with offsets, or into a table if ``file`` is None.
+
+    It raises `FileError` for another ending, and `VerdictError` for zeros that are no better than none.
+    """
     endings = TABLE_ENDINGS if file is None else file.endings
     if path.suffix.lower() not in endings:
         raise FileError(f"{path}: this format is written as {choices(endings)}; end the name so.")

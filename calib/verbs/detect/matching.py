@@ -63,7 +63,7 @@ class JointTable(Value):
 
     @property
     def kept(self) -> tuple[Column, ...]:
-        """The columns that go into the table of corners unchanged."""
+        """The columns that go into the table of corners unchanged: all except camera, target and picture's name."""
         moved = [column for column in (self.camera, self.target) if column is not None]
         places = {column.index for column in moved}
         return tuple(

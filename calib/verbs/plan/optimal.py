@@ -175,7 +175,9 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 
 
 def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int) -> int:
-    """Find the candidate outside a design that improves it most; first guesses save time and change nothing.
+    """Return the index of the candidate outside a design that improves it most when it is added.
+
+    The design are indices of candidates, and so are ``likely`` ones, guesses that save time and change nothing.
 
     `_gains` are computed only for candidates whose upper bound reaches the gain of a good one.
     """
@@ -231,7 +233,7 @@ def short_list(rank: Array, count: int) -> Indices:
 
 
 def _gain_bounds(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
-    """Bound from above what adding each candidate gains (n,), at a fifth of the cost of `_gains`.
+    """Bound from above what adding each of n candidates gains, (n,), at a fifth of the cost of `_gains`, as its inputs.
 
     det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
     """

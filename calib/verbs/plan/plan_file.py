@@ -91,7 +91,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     Args:
         instrument: The instrument, which determines the columns.
         plan: The plan.
-        number: Number of the first row; a point is named after its row, ``"P1"``.
+        number: Number of the first row or image; a point is named after its row, ``"P1"``.
     """
     kind = instrument.kind
     lengths: list[tuple[str, Quantity]] = []
@@ -252,7 +252,7 @@ def _(_instrument: CameraInstrument, poses: Poses) -> int:
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
-    """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes the keys."""
+    """Return a plan with its forecasts as nested tables for a JSON file, in SI units; see docs/planning.md."""
     robot, request = plan.robot, plan.request
     joints = []
     for name, joint_type in robot.joint_types.items():

@@ -46,11 +46,11 @@ _CAMERA = 0.05
 
 
 def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
-    """Make the page of a plan: the robot at each pose, in the order to drive, with its numbers.
+    """Make the page of a plan in 3D: the robot at each pose, in the order to drive, with targets, boxes and numbers.
 
     Args:
         plan: The plan.
-        first_row: Number of the first row of its table, see `calib.verbs.plan.plan_file.write_plan`.
+        first_row: Number of the first row or image of its table, see `calib.verbs.plan.plan_file.write_plan`.
     """
     moving = on_foot(plan.instrument, plan)
     count, forecast = len(plan.joints), plan.forecast
@@ -129,7 +129,7 @@ def on_foot(_instrument: Instrument, plan: Plan) -> Plan:
 
 @on_foot.register
 def _(instrument: CameraInstrument, plan: Plan) -> Plan:
-    """Return the plan of a camera from the foot to the hand."""
+    """Return the plan of a camera from the foot to the hand, with a box where the camera or the board stands."""
     sightline, robot = plan.sightline, plan.robot
     T_base_camera = rigid_inverse(sightline.T_instrument_base)
     T_tip_middle = sightline.T_tip_target.copy()

@@ -104,7 +104,10 @@ def find_route(
 
 
 def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:
-    """Find a short open path through poses (N, m) as they are, with few blocked moves; see `find_route`."""
+    """Find a short open path through poses (N, m) as they are, with few blocked moves; for the rest see `find_route`.
+
+    A move is as long as the largest change of a joint in it [rad] or [m].
+    """
     # Imported late, because it takes long.
     from scipy.spatial.distance import cdist
 
@@ -134,9 +137,10 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
 
 
 def _shortest_path(costs: Array) -> Integers:
-    """Return the shortest of several paths through n poses by the costs (n + 2, n + 2) of their moves, with both ends.
+    """Return the shortest of several paths, as n + 2 indices, by the costs (n + 2, n + 2) of the moves between nodes.
 
-    Each path begins at another pose, goes to the nearest pose that is left, and is improved.
+    The nodes are n poses, then the start, whose moves cost nothing if any pose may be the first, then the end. Each
+    path begins at another pose, goes to the nearest pose that is left, and is improved.
     """
     count = len(costs) - 2
     firsts = np.unique(np.linspace(0, count - 1, _BEGINNINGS).astype(int)).tolist() if count else []
@@ -221,7 +225,10 @@ def _turning_joints(robot: Robot, limits: Array) -> Mask:
 
 
 def _detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
-    """Return the pose (m,) of several (n, m) by which the way between two others is free and shortest, if any."""
+    """Return the pose (m,), of several (n, m), by which the way between two others is free and shortest.
+
+    None if no way by one of those with the shortest ways is free.
+    """
     to_pose = np.max(np.abs(poses - start), axis=1)
     from_pose = np.max(np.abs(poses - end), axis=1)
     for k in np.argsort(to_pose + from_pose, kind="stable")[:_STOPS]:
