@@ -147,10 +147,10 @@ def _section(path: PathLike, text: str, name: str) -> dict[str, str]:
 
 
 def _columns(path: PathLike, values: Mapping[str, str], largest: Mapping[str, float]) -> Array:
-    """Return the lists of six numbers that are the values of some keys, as the columns of an array (6, keys).
+    """Return the lists of six numbers that are the values of the keys of ``largest``, as columns of an array (6, keys).
 
-    Numbers are in m and rad. If a key has no such list, or a number is larger than ``largest`` has for the key, it
-    raises `FileError`.
+    Numbers are in m and rad. If a key has no such list, or a number is larger than ``largest`` allows, it raises
+    `FileError`.
     """
     columns = []
     for key, most in largest.items():

@@ -158,7 +158,7 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
         images: The pictures.
 
     Returns:
-        The row of each picture.
+        The row of each picture, None if there is none, and its camera; and the rows without a picture.
 
     Raises:
         MeasurementError: Two rows fit a picture, or a row fits two pictures of one camera, or none fits any.

@@ -158,7 +158,10 @@ def _cell(quantity: Quantity, value: float) -> str:
 
 
 def _joint_cells(robot: Robot, q: Array) -> dict[str, str]:
-    """Return the texts of joint values (m,) [rad] or [m], by the headers of their columns, as ``robot.joint_names``."""
+    """Return the texts in deg or mm of joint values (m,) [rad] or [m], by the headers of their columns.
+
+    Values and columns are in the order of ``robot.joint_names``.
+    """
     cells = {}
     for (name, joint_type), value in zip(robot.joint_types.items(), q, strict=True):
         quantity: Quantity = "length" if joint_type == "prismatic" else "angle"

@@ -238,7 +238,8 @@ class Sensitivity:
     def analysed(self, q: Array, measured: Array) -> Observability:
         """Analyse which of the p parameters some poses determine.
 
-        The derivative is scaled back from standard deviations to metres, as a fit does.
+        The derivative is scaled back from standard deviations to the unit of the noise, [m] or for images [px], as a
+        fit does.
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.

@@ -98,7 +98,10 @@ def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
 
 
 def _tracker_facts(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each fact about rows of a tracker; the text of a disturbance that is absent is empty."""
+    """Yield label and text of each fact about rows of a tracker, without disturbances that are absent.
+
+    The text of encoder steps is empty if there are none.
+    """
     truth, kind = simulated.truth, scenario.kind
     yield "Each row measures", f"the {kind.words}"
     yield "Targets at each pose", ", ".join(truth.targets)
@@ -143,7 +146,7 @@ def _tracker_facts(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[s
 def _picture_facts(
     scenario: Scenario, simulated: Simulated, pictures: Pictures
 ) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each fact about pictures; the text of encoder steps is empty without any."""
+    """Yield label and text of each fact about pictures and true errors; the text of encoder steps may be empty."""
     truth = simulated.truth
     camera, stated = pictures.equipment.camera, pictures.equipment.stated
     printed, board = pictures.equipment.printed, pictures.equipment.printed.board

@@ -227,7 +227,7 @@ def draw_truth(
 def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
     """Draw T_frame_base of a tracker at a point, levelled to about 10 mrad, in any heading.
 
-    The origin of its frame is the tracker, and z points up, along z of the base.
+    The origin of its frame is the tracker, and its z axis points up, nearly along z of the base.
 
     Args:
         position: In the base, shape (3,), [m].
