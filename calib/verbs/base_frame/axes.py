@@ -54,7 +54,7 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
         robot: The robot.
 
     Returns:
-        One for each joint, [m].
+        The axis of each joint, a point [m] and the direction of positive turns, base to tip.
 
     Raises:
         UrdfError: A joint slides, is held, follows another or has a coupled reading, or the base moves.

@@ -108,13 +108,13 @@ class Circle(Plane):
 
     @property
     def arc(self) -> float:
-        """Angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
+        """Angle that the points used cover: a full turn less the largest gap between neighbours [rad]."""
         ordered = np.sort(self.angles[self.used])
         gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
         return float(2.0 * np.pi - gaps.max())
 
     def turned(self) -> Circle:
-        """Return the circle with the opposite normal."""
+        """Return the circle with the opposite normal, and its covariance, residuals and angles in the turned basis."""
         # (u, v, n) -> (u, -v, -n): what is along v or n changes its sign; a tilt towards u does through n, and one
         # towards v through both.
         signs = np.array([1.0, -1.0, -1.0, -1.0, 1.0, 1.0])

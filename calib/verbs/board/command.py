@@ -88,7 +88,10 @@ def board(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw a board, new or described, or write what its print measures."""
+    """Draw a board, new or described, or write what its print measures.
+
+    Options that go with another of these three raise `CalibError`.
+    """
     given = design_options.given
     stem = output
     if output is not None and output.suffix.lower() in (".pdf", ".svg", ".toml"):

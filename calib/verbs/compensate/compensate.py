@@ -164,7 +164,10 @@ def compensate(
 def _load_models(
     calibration: Calibration | RobotInput, nominal: RobotInput | None
 ) -> tuple[Calibration | Robot, Robot | None]:
-    """Return the models of the true robot and of the controller; one read from a file gets the chain of the other."""
+    """Return the models of the true robot and of the controller; None if no nominal robot was given.
+
+    One that is read from a file gets base, tip and held joints of the other. Another type raises `ArgumentError`.
+    """
     allowed = f"{RESULT}; or {ROBOT}"
     check_type("calibration", calibration, (Calibration, Robot, str, Path), allowed)
     check_type("nominal", nominal, (Robot, str, Path, type(None)), f"{ROBOT}, or None")

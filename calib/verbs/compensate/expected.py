@@ -90,7 +90,7 @@ class ExpectedErrors(Value):
 
     @property
     def band(self) -> tuple[float, float]:
-        """Ends of the range of the mean error over all rows for `BAND` of robots [m].
+        """Ends of the range [m] in which the mean error over all rows lies for a share `BAND` of calibrations.
 
         It differs from robot to robot, because the errors of all rows come from the same few unknowns. Its distribution
         is taken to be a multiple of chi, the root of chi-squared, with the expected mean.
@@ -291,9 +291,10 @@ def _beyond_noise(
 def _instrument_noise(
     result: Calibration,
 ) -> tuple[NoiseSource, dict[str, float], dict[str, float]]:
-    """Return the source of the noise of lengths, and by unit, [m] and [rad], its standard deviation and its freedom.
+    """Return the source of the noise of lengths, and its standard deviations and degrees of freedom by unit, m and rad.
 
-    A standard deviation is of one scalar, NaN if it is not known.
+    A standard deviation is of one scalar: as stated, with infinite degrees of freedom, else from repeated rows, else
+    NaN.
     """
     sigma = dict.fromkeys(_POSE_UNITS, np.nan)
     freedom = dict.fromkeys(_POSE_UNITS, 0.0)

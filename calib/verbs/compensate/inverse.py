@@ -222,7 +222,7 @@ def _search(
     pulled: bool,
     steps: int,
 ) -> tuple[Array, Array, Array, Array]:
-    """Take steps of N rows inside the limits until each rests.
+    """Take steps of N rows from start values towards wanted poses of the tool, inside the limits, until each rests.
 
     If ``pulled``, a redundant arm is drawn towards the joint values (N, m) that it starts at. Returned are the joint
     values where the rows rest, T_base_tool and twists there as of `Arm.motion`, and the error left of `Matching.error`.

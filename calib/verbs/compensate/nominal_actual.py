@@ -155,7 +155,10 @@ class Arm(Value):
 
 
 def _motion_per_value(terms: Sequence[Parameter], values: Array, state: JointState) -> Array:
-    """Return the motion of a joint per change of its value, (N,): 1, and the slopes of its errors."""
+    """Return the motion of a joint per change of its value at N states, (N,): 1, and the slopes of its errors.
+
+    The errors are the terms, with their values in their units; those of other joints do not count.
+    """
     per_value = np.ones(len(state.values))
     for term, value in zip(terms, values, strict=True):
         if term.place == state.joint and term.factor and term.factor.slope:

@@ -147,7 +147,7 @@ def read_program(
 
 
 def _name_columns(table: Table, robot: Robot, options: ColumnOptions) -> Named:
-    """Return the table's columns by calib's names.
+    """Return the table's columns by calib's names, as the options and the robot's joint names map them.
 
     A table of commands raises `MeasurementError`, and so does one whose joints are named as a brand does.
     """
@@ -283,7 +283,7 @@ def write_commands(
 def _number_columns(
     names: Sequence[str], units: Sequence[str], values: Array
 ) -> Iterator[Sequence[str]]:
-    """Yield header and cells of each column of values (N, columns), in SI units; the cell of NaN is empty."""
+    """Yield header and cells, in the units named, of each column of values (N, columns) in SI units; NaN is empty."""
     for name, symbol, column in zip(names, units, values.T, strict=True):
         scale, digits = _UNITS[symbol]
         cells = []

@@ -307,7 +307,7 @@ def _program(commands: Commands) -> str:
 
 
 def _corrections(commands: Commands) -> str:
-    """Write the table of errors with and without compensation, and of corrections of poses and joints."""
+    """Write the table of errors with and without compensation, and of corrections, of rows with commands [mm, deg]."""
     title = f"By the calibrated model, rows with commands: {int(commands.reached.sum())}"
     columns = [name_column(title, _LABEL)]
     columns += [Column(head, 9) for head in ("max mm", "mean mm", "max deg", "mean deg")]
@@ -360,7 +360,7 @@ def _listed(values: Array) -> str:
 
 
 def _mismatch(commands: Commands) -> str:
-    """Word that the joint values of a program do not belong to its poses; empty if they do."""
+    """Word that the joint values of a program do not belong to its poses; empty if they do, or only one is there."""
     program, pair = commands.program, commands.pair
     if program.q is None or program.T_wanted is None:
         return ""

@@ -48,7 +48,7 @@ def within(misses: Array, allowed: tuple[float, float]) -> Mask:
         allowed: The largest of each [m], [rad].
 
     Returns:
-        shape (N,).
+        True where distance and angle are at most as large as allowed, shape (N,).
     """
     return np.asarray((misses[:, 0] <= allowed[0]) & ~(misses[:, 1] > allowed[1]))
 

@@ -128,7 +128,7 @@ def mounted(source: Source, options: Options) -> Source:
         options: ``camera``, the names of the frames.
 
     Raises:
-        CalibError: See `Handover.of`.
+        CalibError: The source is not a calibration, no link is named, or there is no such camera, board, link or joint.
         UrdfError: A reader of the URDF has a frame at another pose.
     """
     handover = Handover.of(source, options.camera)
@@ -142,7 +142,7 @@ def mounted(source: Source, options: Options) -> Source:
 
 
 def pose_text(T: Array) -> str:
-    """Word a pose (4, 4) [m]: x y z, and roll pitch yaw about the fixed axes."""
+    """Word a pose (4, 4) [m]: x y z in mm, and roll pitch yaw about the fixed axes in deg."""
     place = " ".join(mm(length) for length in T[:3, 3])
     angles = " ".join(deg(angle) for angle in pin.rpy.matrixToRpy(T[:3, :3]))
     return f"x y z = {place} mm, roll pitch yaw = {angles} deg"

@@ -167,7 +167,7 @@ class DHTables:
         return tuple(notes)
 
     def states(self) -> dict[str, DHTable]:
-        """Return the tables of a file by name: ``robot``; or ``before``, ``after``, ``change``.
+        """Return the tables of a file by name: ``before``, ``after``, ``change``; or ``robot`` if before is not known.
 
         The change is after minus before; for the constant poses it is before^-1 after.
         """
@@ -217,14 +217,17 @@ def _sheet(robot: Robot, convention: str) -> DHTable | None:
 
 
 def _with_unit(row: DHRow, value: float | None) -> str:
-    """Return a value of a row's joint, [m] if it slides or [rad], as text in mm or deg; empty for None."""
+    """Return a value of a row's joint, [m] if it slides, else [rad], as text in mm or deg; empty for None."""
     if value is None:
         return ""
     return f"{1e3 * value:.12g} mm" if row.prismatic else f"{np.degrees(value):.12g} deg"
 
 
 def _formula(factors: Mapping[str, float], offset: float, row: DHRow) -> str:
-    """Return `Added.formula`: the sum of joints' values times factors, by name, and an offset [rad or m]."""
+    """Return `Added.formula`, such as ``"-2 * arm + 5 deg"``: joints' values times factors by name, plus an offset.
+
+    The offset is [m] if the row's joint slides, else [rad]; without factors the joint is held at it.
+    """
     constant = _with_unit(row, offset)
     if not factors:
         return f"held at {constant}"

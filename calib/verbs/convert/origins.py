@@ -96,7 +96,7 @@ class JointOrigin(NamedTuple):
 
 
 def origins_of(robot: Robot) -> dict[str, JointOrigin]:
-    """Return the origins of the URDF joints that carry the chain's placements.
+    """Return the origins, in their parent links, of the URDF joints that carry the chain's placements.
 
     Args:
         robot: The robot.

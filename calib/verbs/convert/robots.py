@@ -21,9 +21,11 @@ from calib.verbs.convert.ur_arms import Mount, the_mount, ur_robot
 def result_source(result: Calibration, options: Options, name: str) -> Source:
     """Return a result as a source, on the given robot, nominal or corrected, or on the URDF that it holds.
 
+    A non-geometric model is left out, which a note says.
+
     Args:
         result: The result.
-        options: Options of the conversion.
+        options: Options of the conversion: the robot, and which arm it is. Base, tip and held joints are the result's.
         name: Name of the result in messages.
 
     Raises:

@@ -110,7 +110,7 @@ class RoundedZeros(Value):
 
     @classmethod
     def of(cls, source: Source, stored: StoredNumber) -> RoundedZeros:
-        """Round the zeros of a result.
+        """Round the joint zeros of a result to what a controller can store.
 
         Args:
             source: The result.
@@ -268,7 +268,7 @@ def check_improvement(rms_errors: RmsErrors, path: Path, *, accept: bool) -> Non
 
 
 def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
-    """Word the joint zeros that a conversion wrote.
+    """Word the joint zeros of a result as a conversion wrote them, in mm and deg and as the controller stores them.
 
     Args:
         stored: Number, sign and unit in which the controller stores a zero.

@@ -97,7 +97,7 @@ class StaticTransform(Value):
 
 
 def file_of(transform: StaticTransform, about: str, path: Path) -> bytes:
-    """Return a shell script, or by the ending `LAUNCH` a launch file, that publishes a pose.
+    """Return the bytes of a shell script, or by the ending `LAUNCH` of a launch file, that publishes a pose in tf2.
 
     Args:
         transform: The pose.

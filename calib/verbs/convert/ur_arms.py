@@ -136,7 +136,7 @@ class Mount:
     nominal: bool
 
     def chain_of(self, robot: Robot) -> Array:
-        """Return the chain of the arm that a robot with this mount is.
+        """Return the chain of the arm, in the arm's own frames, that a robot with this mount is.
 
         Args:
             robot: A robot with the frames of the URDF, nominal or calibrated.

@@ -80,7 +80,7 @@ class Conf(NamedTuple):
             data: The bytes of a file that is not written yet; None: they are read from ``path``.
 
         Returns:
-            Its deltas and other contents.
+            Its deltas, (6, 4) [rad], [m], its status, and the rest of the file.
 
         Raises:
             FileError: The file cannot be read, or lacks these numbers.
@@ -211,7 +211,7 @@ class KinematicsYaml(NamedTuple):
 
     @property
     def chain(self) -> Array:
-        """Placements of the six joints and of the flange, shape (7, 4, 4) [m]."""
+        """Placements of the six joints and of the flange, shape (7, 4, 4) [m]; that of the flange is the identity."""
         chain = np.tile(np.eye(4), (7, 1, 1))
         for (*xyz, roll, pitch, yaw), T in zip(self.numbers, chain, strict=False):
             T[:3, :3] = pin.rpy.rpyToMatrix(roll, pitch, yaw)

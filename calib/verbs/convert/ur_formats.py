@@ -190,7 +190,7 @@ def _read_conf(
 
 
 def _hash_notes(path: PathLike, hash: str | None) -> Notes:
-    """Return a note if a hash is that of a nominal arm."""
+    """Return a note if a hash is that of a nominal arm, which no particular robot has; else nothing."""
     if not any(kinematics_hash(known.rows) == hash for known in MODELS):
         return ()
     sentence = "{0} has the hash of a nominal arm, which does not identify a particular robot."
@@ -424,7 +424,10 @@ def _launch(conversion: Conversion) -> str:
 
 
 def _write_conf(source: Source, path: Path, options: Options) -> Notes:
-    """Write the deltas of a calibration.conf, alone or in a copy of the controller's own file."""
+    """Write the deltas of a calibration.conf, alone or in a copy of the controller's own file.
+
+    Notes are on lines that were kept or left out, and on displacements of base and flange that the file cannot hold.
+    """
     updated = None if options.update is None else Conf.read(options.update)
     data, T_base, T_tool = conf_file(source, path, updated)
     write_atomically(path, data, overwrite=options.overwrite)
@@ -442,7 +445,10 @@ def _write_conf(source: Source, path: Path, options: Options) -> Notes:
 
 
 def _read(source: str, options: Options) -> Source:
-    """Read a calibration.conf or a kinematics.yaml, on the given nominal robot or on a bare one."""
+    """Read a calibration.conf or a kinematics.yaml, onto the given nominal robot, or onto a bare one of the arm.
+
+    A bare one has base, tip and held joints of the options.
+    """
     given = None if options.robot is None else options.load(options.robot)
     result = read_ur(source, urcontrol=options.urcontrol, model=options.ur_model, robot=given)
     has_chain = options.base or options.tip or options.held

@@ -61,10 +61,10 @@ _DYNAMIXEL_LIMIT = 1_044_479
 
 
 def table_bytes(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors, ending: str) -> bytes:
-    """Return a table of zeros as the bytes of a file.
+    """Return a table of joint zeros as the bytes of a CSV or JSON file.
 
     Args:
-        robot: The robot.
+        robot: The robot, which the file names.
         rounded: Its zeros, rounded.
         rms_errors: The errors with them and without.
         ending: One of `TABLE_ENDINGS`.
@@ -446,7 +446,7 @@ def _notes(
 
 
 def _format(what: str, file: OffsetFile | None) -> Format:
-    """Return the row of a file with offsets, or of the table if ``file`` is None."""
+    """Return the registry row of a kind of file with offsets, or of the table of zeros if ``file`` is None."""
     return Format(
         what,
         TABLE_ENDINGS if file is None else file.endings,

@@ -209,7 +209,10 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
 def _fitting_rows(
     joints: JointTable, image: ImageFile, by_key: Mapping[str, Sequence[int]]
 ) -> list[int]:
-    """Return the rows that a picture may belong to: those with its name, and with its camera, folder and ending."""
+    """Return the rows, from 0, that a picture may belong to: those with its name or number, by `JointTable.key`.
+
+    Of these, those remain that do not name another camera or folder, and if possible those with its ending.
+    """
     if joints.index is None:
         key = _stem(image.path.name)
     else:

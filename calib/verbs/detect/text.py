@@ -72,7 +72,7 @@ def detection_text(detection: Detection, joints: JointTable, matches: Matches) -
     Args:
         detection: The corners, and the pictures that they are in.
         joints: The table of joints.
-        matches: The row of each picture.
+        matches: The row of each picture, and the rows without a picture.
 
     Returns:
         Lines of at most 100 columns, except for long names.
@@ -104,7 +104,7 @@ def summary(detection: Detection) -> str:
 
 
 def not_used(detection: Detection) -> list[tuple[str, str]]:
-    """Return the names of the pictures that are not used, each with the reason."""
+    """Return names of the pictures of which no corner is used, each with the reason in words."""
     return [
         (picture.file.name, reason_text(picture, detection.fewest))
         for picture in detection.pictures

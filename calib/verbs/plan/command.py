@@ -159,7 +159,10 @@ class ImageOptions:
         return cell
 
     def limits(self) -> SightLimits:
-        """Return where the board may be in the camera; raises `CalibError` for a text that an option refuses."""
+        """Return at which distances [m] and tilts [rad], and where in the image, the board may be seen.
+
+        Without distances they follow from the board's size in the image. A text that is refused raises `CalibError`.
+        """
         from calib.basics.units import ANGLE, LENGTH, parse_amount, parse_quantities
         from calib.instruments.camera import SightLimits
 

@@ -122,7 +122,10 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
 
 @plan_rows.register
 def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
-    """Yield the cells of each image; without row numbers, because a table of corners has many rows of an image."""
+    """Yield the cells of each image by the headers of their columns, the images numbered from ``number`` on.
+
+    There are no row numbers, because a table of corners has many rows of an image.
+    """
     distances, tilts = distances_and_tilts(instrument, plan)
     # Columns run from the foot of the robot to its hand, even if the chain leads the other way.
     backwards = plan.robot.base_moves

@@ -155,7 +155,7 @@ def _(instrument: CameraInstrument, plan: Plan) -> Plan:
 
 @singledispatch
 def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the names of the points at each pose, and where its targets are expected, as texts."""
+    """Return texts for each pose, by their labels: the names of its points, and where its targets are expected [mm]."""
     numbers: dict[str, tuple[str, ...]] = {}
     count = len(plan.targets)
     points = first_row + np.arange(len(plan.joints) * count).reshape(-1, count)
@@ -169,7 +169,7 @@ def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, t
 
 @_numbers.register
 def _(instrument: CameraInstrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the name of each image, and where the board is in it, as texts."""
+    """Return texts for each pose, by their labels: the name of the image, and distance and tilt of the board."""
     distances, tilts = distances_and_tilts(instrument, plan)
     return {
         "image": tuple(image_name(first_row + k) for k in range(len(plan.joints))),

@@ -161,6 +161,7 @@ def _shortest_path(costs: Array) -> Integers:
 def _improve(path: Integers, costs: Array) -> Integers:
     """Improve a path by reversing the piece whose reversal shortens it most, until none does; its ends stay.
 
+    The path has the indices of the n nodes in their order, and costs are those of the moves between nodes, (n, n).
     Reversing the places i to j replaces the steps (i - 1, i) and (j, j + 1) by (i - 1, j) and (i, j + 1).
     """
     least_gain = _ROUNDING * float(costs.max())
@@ -216,7 +217,10 @@ def _turn(robot: Robot, q: Array, limits: Array, route: Route, free_path: FreePa
 
 
 def _turning_joints(robot: Robot, limits: Array) -> Mask:
-    """Return which joints (m,) turn within limits (m, 2) [rad] of more than one turn, and move no other joint."""
+    """Return which joints (m,) turn within limits (m, 2) [rad] of more than one turn, and do so alone.
+
+    Joints that others follow, or whose readings are coupled, are not among them.
+    """
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     is_alone = np.sum(robot.mimic_matrix != 0.0, axis=0) <= 1
     has_factors = robot.reading_matrix != np.eye(len(slides))

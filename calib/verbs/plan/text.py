@@ -116,7 +116,7 @@ def _and_with(obstacles: Sequence[str | float]) -> str:
 
 
 def _mm(value: float) -> str:
-    """Format a length [m] in mm with four significant digits."""
+    """Format a length [m] in mm, with four significant digits and at most four decimals."""
     size = abs(1e3 * value)
     digits = 4
     for limit, fewer in ((1, 3), (10, 2), (100, 1)):
@@ -225,7 +225,7 @@ def _forecasts(plan: Plan) -> Iterator[str]:
 
 
 def noise_text(sigma: Mapping[str, float]) -> str:
-    """Word the noise of a forecast, the standard deviation of one scalar by its unit, without a full stop."""
+    """Word the noise of a forecast, without a full stop: standard deviations of one scalar, given by their SI units."""
     parts = []
     for symbol, std in sigma.items():
         unit = RESIDUAL_UNITS[symbol]

@@ -87,7 +87,7 @@ class MovedTarget(Value):
         object.__setattr__(self, "by", read_only(self.by))
 
     def rows(self, targets: Sequence[str]) -> Mask:
-        """Return which rows find the target moved, shape (R,).
+        """Return which of R rows find their target moved, shape (R,): those of a target that moves, from `row` on.
 
         Args:
             targets: Name of the target of each row, (R,).

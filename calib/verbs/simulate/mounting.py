@@ -210,7 +210,7 @@ def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Arra
 
 
 def board_in_workspace(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
-    """Draw a board on the table or on a wall, about as far as the arm reaches.
+    """Draw a board that lies on the table or hangs on a wall, about as far as the arm reaches; z of the base is up.
 
     Args:
         arm: The chain from the link that does not move to the flange.

@@ -282,7 +282,7 @@ def _draw_errors(
 
 
 def _compare_placements(nominal: Robot, true: Robot) -> tuple[Robot, dict[str, float]]:
-    """Return the nominal robot with the placements of a true one, and these as errors of the set ``placement``.
+    """Return the nominal robot with the placements of a true one, and its errors as those of the set ``placement``.
 
     The errors, by name, are along x, y, z [m], then about the moving axes x, y, z [rad]. If joints, types or axes
     differ, it raises `ModelError`; the true robot's URDF may differ in other ways.
