@@ -103,6 +103,9 @@ def find_warnings(
 ) -> tuple[tuple[CommandWarning, ...], ...]:
     """Find what a person should know about each row that has a command.
 
+    That is a singularity nearby, a large correction, a jump from the row before, a pose that the controller may reach
+    otherwise, or joint values outside those measured.
+
     Args:
         commands: The commands, whose own warnings do not count.
         tolerance: The largest distances allowed from the wanted poses: position [m], angle [rad].

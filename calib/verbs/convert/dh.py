@@ -185,7 +185,7 @@ class DHTables:
 
 
 def _check_poses(robot: Robot, table: DHTable, q: Array) -> None:
-    """Compare DH rows with their robot at joint values q (N, n) [rad or m]; `ModelError` if they differ."""
+    """Compare poses by DH rows with the robot's at joint values q (N, n) [rad or m]; `ModelError` if they differ."""
     difference = np.abs(table.poses(robot.chain_values(q)) - robot.poses(q)).max()
     # Axes that are taken as parallel displace the tip by the angle times the arm's length, in both directions.
     length = 1.0 + np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum()

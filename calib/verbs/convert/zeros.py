@@ -212,11 +212,11 @@ class OffsetFile(NamedTuple):
 
 
 def offsets_bytes(file: OffsetFile, rounded: RoundedZeros, update: str | Path | None) -> bytes:
-    """Return the bytes of a file with offsets.
+    """Return the bytes of a file in which a controller keeps the offsets of its joints, with joint zeros added.
 
     Args:
         file: The kind of file.
-        rounded: The zeros.
+        rounded: The zeros, rounded to what the controller stores.
         update: The robot's own file, a copy of which gets the new offsets; None: the file has the changes alone, under
             the key with the suffix ``_change``.
 

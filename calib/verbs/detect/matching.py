@@ -148,7 +148,7 @@ def read_joint_table(
 
 
 def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
-    """Match pictures with rows.
+    """Match pictures with rows of joint values.
 
     A row's name fits a picture of the same name, in upper or lower case, with or without folders and ending; a row's
     number fits a picture whose name has it as its last number.

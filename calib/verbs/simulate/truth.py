@@ -114,7 +114,7 @@ class Truth(Value):
         """Compute the true T_base_tip, with all errors of the robot, shape (N, 4, 4), [m].
 
         Args:
-            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
+            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m].
         """
         robot, x, load = self.nominal, self.x, None
         if self.given is not None:
@@ -129,7 +129,7 @@ class Truth(Value):
         """Compute the true T_frame_target, shape (N, 4, 4), [m].
 
         Args:
-            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
+            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m].
             target: Name of the target; None: the first.
             group: Name of the group whose frame it is; None: the first.
         """
@@ -149,7 +149,7 @@ class Truth(Value):
         and of the frame do not count.
 
         Args:
-            q: Joint values that are read, shape (N, m), [rad] or [m].
+            q: Joint values as exact encoders read them, shape (N, m), [rad] or [m].
 
         Returns:
             Distances, shape (N,), [m].
@@ -253,8 +253,9 @@ def _draw_errors(
 ) -> Array:
     """Return the p errors of a model, (p,) in their units: as given by name, the others normally distributed.
 
-    Drawn ones are clipped to the cell's bounds, and are 0 without sizes (None). It raises `ModelError` for a name that
-    the model does not have, and `CalibError` for an error that is too large.
+    Standard deviations are the cell's priors of single errors, else the sizes by family, else typical ones. Drawn ones
+    are clipped to the cell's bounds, and are 0 without sizes (None). It raises `ModelError` for a name that the model
+    does not have, and `CalibError` for an error that is too large.
     """
     for name in given:
         model.index(name)  # refuses one that the model does not have
