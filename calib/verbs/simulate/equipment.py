@@ -93,7 +93,7 @@ def usual_camera() -> Camera:
 
 
 def usual_board(arm: Robot) -> Board:
-    """Return the usual board: a ChArUco board of 7 by 5 squares, whose size is a share of the arm's reach, within limits.
+    """Return the usual ChArUco board of 7 by 5 squares, in proportion to the reach of the arm, within limits.
 
     Args:
         arm: The chain from the foot to the flange, or the other way.
