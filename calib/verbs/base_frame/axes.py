@@ -54,7 +54,7 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
         robot: The robot.
 
     Returns:
-        One for each joint, [m].
+        The axis of each joint, a point [m] and the direction of positive turns, base to tip.
 
     Raises:
         UrdfError: A joint slides, is held, follows another or has a coupled reading, or the base moves.
@@ -80,9 +80,11 @@ def nominal_axes(robot: Robot) -> tuple[Line, ...]:
 def measured_lines(plane: Plane, *circles: Circle, plane_offset: float) -> list[Line]:
     """Return the mounting plane, which is below the measured one, away from the first circle, and the circles' axes.
 
+    All are in the tracker's frame.
+
     Args:
         plane: The measured plane.
-        circles: Of the joints.
+        circles: Of the joints, base to tip.
         plane_offset: Distance of the measured plane from the mounting plane [m].
 
     Raises:
@@ -101,12 +103,14 @@ def measured_lines(plane: Plane, *circles: Circle, plane_offset: float) -> list[
 
 
 def axes_frame(plane: Line, first: Line, second: Line) -> Array:
-    """Compute T_tracker_A, shape (4, 4) [m]; see the module's text.
+    """Compute the pose of the frame of the axes, T_tracker_A, shape (4, 4) [m].
+
+    Its origin is where axis 1 meets the plane, z is along axis 1, and y along axis 2 made perpendicular to z.
 
     Args:
         plane: The mounting plane, in the tracker's frame.
-        first: Axis 1.
-        second: Axis 2.
+        first: Axis 1 in that frame, in the positive sense of its joint.
+        second: Axis 2, likewise.
 
     Raises:
         CalibError: Axis 1 is too flat to the plane, or the axes are parallel.

@@ -126,7 +126,9 @@ class BaseFrame(Value):
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def within(self, share: float = 0.95) -> Array:
-        """Return the half width of the interval of each component of the twist, shape (6,) [m, rad].
+        """Return the half width of the confidence interval of the displacement along and the rotation about each axis.
+
+        The axes are those of the base; shape (6,), x, y, z [m], then about x, y, z [rad].
 
         Args:
             share: Probability that it lies inside.
@@ -364,7 +366,7 @@ def _check_pairs(pairs: Sequence[AxisPair], robot: Robot) -> None:
 
 @contextmanager
 def _at(where: str) -> Iterator[None]:
-    """Add to an error of the block the place that it is about; raises `MeasurementError`."""
+    """Turn a `CalibError` of the block into a `MeasurementError` whose message begins with the place."""
     try:
         yield
     except CalibError as error:

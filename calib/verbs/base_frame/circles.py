@@ -108,13 +108,13 @@ class Circle(Plane):
 
     @property
     def arc(self) -> float:
-        """Angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
+        """Angle that the points used cover: a full turn less the largest gap between neighbours [rad]."""
         ordered = np.sort(self.angles[self.used])
         gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
         return float(2.0 * np.pi - gaps.max())
 
     def turned(self) -> Circle:
-        """Return the circle with the opposite normal."""
+        """Return the circle with the opposite normal, and its covariance, residuals and angles in the turned basis."""
         # (u, v, n) -> (u, -v, -n): what is along v or n changes its sign; a tilt towards u does through n, and one
         # towards v through both.
         signs = np.array([1.0, -1.0, -1.0, -1.0, 1.0, 1.0])
@@ -197,7 +197,8 @@ def _fit_robustly(
 ) -> tuple[Plane, float]:
     """Fit a figure to all points except outliers, and return it with its covariance, and its radius [m].
 
-    It is fitted to points (N, 3) [m] with weights (N,), using those of a mask (N,).
+    ``figure`` fits it to points (N, 3) [m] with weights (N,), using those of a mask (N,); sigma is the standard
+    deviation of a coordinate of each point, (N,) [m], None if it is to be estimated. Too few points raise `CalibError`.
     """
     if len(points) < FEWEST:
         raise CalibError(
@@ -253,9 +254,10 @@ def _fit_robustly(
 
 
 def _find_outlier(residuals: Array, jacobian: Array) -> int | None:
-    """Return the point, from 0, that is an outlier more than all others, None if none is; see the module's text.
+    """Return the index of the point whose omission lowers the sum of squares most; None if that may be chance.
 
-    Residuals, (N, k), and their derivatives by the figure's p displacements, (N, k, p), are whitened.
+    Chance is judged by an F test for the largest of N points. Residuals, (N, k), and their derivatives by the figure's
+    p displacements, (N, k, p), are whitened.
     """
     count, k, p = jacobian.shape
     freedom = count * k - p - k
@@ -410,7 +412,7 @@ def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def _basis_near(normal: Array, near: Array) -> Array:
-    """Return a right-handed basis (3, 3), columns u, v, normal, with u as near as possible to a direction (3,)."""
+    """Return a right-handed basis (3, 3), columns u, v, unit normal, with u as near as possible to a direction (3,)."""
     u = near - normal * (normal @ near)
     u = u / np.linalg.norm(u)
     return np.column_stack([u, np.cross(normal, u), normal])

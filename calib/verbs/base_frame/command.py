@@ -74,7 +74,7 @@ def base_frame(
     robust: Annotated[bool, typer.Option(help="Reject outliers and report them.")] = True,
     quiet: Quiet = False,
 ) -> None:
-    """Survey the base frame, write the files and print frame, sweeps and findings."""
+    """Read sweeps, estimate the base frame, write the files named, and print frame, sweeps and findings."""
     from calib.basics.files import write_atomically
     from calib.basics.units import LENGTH, parse_amount
     from calib.result.calibration_file import write_table

@@ -109,7 +109,9 @@ def _disagreement(differences: Array) -> float:
 
 
 def findings(sweep: Sweep, figure: Plane) -> Iterator[SweepFinding]:
-    """Yield outliers, correlated residuals of neighbours, and noise beyond sigma.
+    """Yield findings about a sweep: outliers, correlated residuals of neighbours, and noise beyond the given sigma.
+
+    Their values are the distance of an outlier from the figure [m], the correlation, and the noise divided by sigma.
 
     Args:
         sweep: The points.

@@ -78,7 +78,7 @@ def base_frame_text(frame: BaseFrame, source: str, robot: Robot | None) -> list[
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Write a table whose names, the first cell of each row, are indented by two spaces."""
+    """Return the lines of a table whose names, the first cell of each row, are indented by two spaces."""
     names = [heads[0]]
     names += [row[0] for row in rows]
     longest = max(map(len, names))
@@ -89,7 +89,7 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _pose_text(frame: BaseFrame) -> Iterator[str]:
-    """Write the pose of the frame, and its standard deviations and 95 % intervals."""
+    """Yield lines with the pose of the frame, and its standard deviations and 95 % intervals."""
     T = frame.T_tracker_base
     angles = pin.rpy.matrixToRpy(T[:3, :3])
     place = "  ".join(mm(length, 4) for length in T[:3, 3])
@@ -111,7 +111,10 @@ def _pose_text(frame: BaseFrame) -> Iterator[str]:
 
 
 def _sweep_row(name: str, figure: Plane | Circle) -> list[str]:
-    """Return the cells of a plane, whose residuals are all axial, or of a circle, whose are radial and axial."""
+    """Return a sweep's name, number of points used, radius [mm], arc [deg], and rms and largest of its residuals [mm].
+
+    A circle has radial, then axial residuals; the residuals of a plane are all axial, and its other cells are dashes.
+    """
     residuals = figure.residuals[figure.used]
     cells = [name, str(figure.used.sum())]
     if isinstance(figure, Circle):

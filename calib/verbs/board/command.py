@@ -35,7 +35,7 @@ class DesignOptions:
 
     @classmethod
     def of_typed(cls, typed: Mapping[str, Any]) -> DesignOptions:
-        """Return the options from the values of `parameters`, by name."""
+        """Return the options that were given: of the values by name those that are neither None nor False."""
         return cls(
             {
                 name: value
@@ -88,7 +88,10 @@ def board(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw a board, new or described, or write what its print measures."""
+    """Draw a board, new or described, or write what its print measures.
+
+    Options that go with another of these three raise `CalibError`.
+    """
     given = design_options.given
     stem = output
     if output is not None and output.suffix.lower() in (".pdf", ".svg", ".toml"):
@@ -117,7 +120,7 @@ def _files(stem: Path, *endings: str) -> list[Path]:
 
 
 def _design(given: Mapping[str, Any], stem: Path, paper: str, *, force: bool) -> list[str]:
-    """Draw a new board and write its description; ``given`` are the options as typed."""
+    """Draw a new board, by the options as typed, write it with its description, and return lines to print."""
     from calib.boards.board_design import design
 
     values = {"name": stem.name, **changes(Board, given)}
@@ -127,7 +130,10 @@ def _design(given: Mapping[str, Any], stem: Path, paper: str, *, force: bool) ->
 
 
 def _redraw(description: Path, stem: Path | None, paper: str, *, force: bool) -> list[str]:
-    """Draw a board that is described."""
+    """Draw a board by its description, write it as PDF and SVG, and return lines to print.
+
+    Without a stem the files are named as the description.
+    """
     from calib.boards.board_file import read_board
 
     files = _files(stem or description.with_suffix(""), "pdf", "svg")
@@ -137,7 +143,7 @@ def _redraw(description: Path, stem: Path | None, paper: str, *, force: bool) ->
 
 
 def _draw(board: Board, files: list[Path], paper: str, *, force: bool) -> list[str]:
-    """Draw a board on a paper, write the files, and return what to print."""
+    """Draw a board on a paper, write it into the files, each by its ending, and return lines to print."""
     from calib.basics.files import write_atomically
     from calib.boards.board_design import fitting_sheet
     from calib.boards.board_file import board_toml
@@ -154,7 +160,10 @@ def _draw(board: Board, files: list[Path], paper: str, *, force: bool) -> list[s
 
 
 def _measure(description: Path | None, measured: str) -> list[str]:
-    """Write what a print measures into its description."""
+    """Write what a print measures, a length as typed, into its description, and return lines to print.
+
+    It raises `CalibError` without a description, and for another text.
+    """
     from calib.basics.files import read_bytes, write_atomically
     from calib.boards.board_file import correct_toml, read_board
     from calib.boards.printed import print_scale, rescaled

@@ -57,7 +57,7 @@ def _mm(length: float) -> str:
 
 
 def _squares(board: Board) -> str:
-    """Describe columns, rows and the size of squares or tags."""
+    """Describe columns, rows and the size of squares or tags [mm], and a legacy layout."""
     if board.pattern == APRILTAG:
         return (
             f"{board.columns} x {board.rows} tags of {_mm(board.marker)} every {_mm(board.square)}"
@@ -85,7 +85,7 @@ def description(board: Board) -> str:
 
 
 def page_lines(board: Board) -> list[str]:
-    """Return the lines of text that are printed below the pattern."""
+    """Return the lines of text that are printed below the pattern: name and size, markers, and what to check."""
     name = textwrap.shorten(board.name, _LONGEST_NAME, placeholder="...")
     lines = [f"{name}: {_squares(board)}", _markers(board)]
     lines.append("Print at 100 %: both rulers must be true. Then measure the print.")
@@ -93,12 +93,12 @@ def page_lines(board: Board) -> list[str]:
 
 
 def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) -> list[str]:
-    """Say what was drawn and written, and what to do next.
+    """Return what was drawn and written, and what to do next.
 
     Args:
         board: The board.
         sheet: The sheet it was drawn on.
-        paper: Name of the paper.
+        paper: Name of the paper, ``"a4"``; `NO_PAPER` for a sheet of any size.
         files: The files written.
 
     Returns:
@@ -130,7 +130,7 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
 
 
 def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
-    """Say what to do with the print."""
+    """Return lines on what to do: print, glue and measure the board, and the command that takes the measured width."""
     width = board.size[0]
     over = f"{board.columns} squares"
     if board.pattern == APRILTAG:
@@ -150,13 +150,13 @@ def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
 
 
 def measured_text(drawn: Board, measured: Board, scale: PrintScale, path: Path) -> list[str]:
-    """Say what a measurement changed.
+    """Return what a measurement of the print changed in the description.
 
     Args:
         drawn: The board before.
-        measured: The board as measured.
-        scale: What was measured.
-        path: The file written.
+        measured: The board with its size as measured.
+        scale: What was measured, over how many squares, and the scale that follows.
+        path: The description, which was written.
 
     Returns:
         Lines of at most 100 columns.

@@ -56,7 +56,7 @@ class ModelChoice:
 
     @property
     def source(self) -> Path | str:
-        """The file of the model.
+        """The result file, or the URDF or name of the corrected robot, whichever was given.
 
         Raises:
             CalibError: None or two are given, or a payload for a model that does not use it.
@@ -223,7 +223,11 @@ def compensate(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Load both models, compute the commands and write them; a verdict 'do not use' must have been accepted."""
+    """Load both models, compute the commands, and write and print them.
+
+    It raises `VerdictError` for a verdict 'do not use' that was not accepted, and `CalibError` if rows have no command,
+    unless they are to be skipped and others have one.
+    """
     from calib.basics.tables import Table
     from calib.basics.units import MASS, parse_amount, parse_joint_values
     from calib.data.columns import column_names

@@ -164,7 +164,10 @@ def compensate(
 def _load_models(
     calibration: Calibration | RobotInput, nominal: RobotInput | None
 ) -> tuple[Calibration | Robot, Robot | None]:
-    """Return the models of the true robot and of the controller; one read from a file gets the chain of the other."""
+    """Return the models of the true robot and of the controller; None if no nominal robot was given.
+
+    One that is read from a file gets base, tip and held joints of the other. Another type raises `ArgumentError`.
+    """
     allowed = f"{RESULT}; or {ROBOT}"
     check_type("calibration", calibration, (Calibration, Robot, str, Path), allowed)
     check_type("nominal", nominal, (Robot, str, Path, type(None)), f"{ROBOT}, or None")
@@ -185,8 +188,9 @@ def _load_models(
 def _solve_nominal(pair: Pair, program: Program, matching: Matching) -> tuple[Array, Solution]:
     """Return the wanted poses in the base, (N, 4, 4) [m], and the nominal robot at its joint values for them.
 
-    If a full pose is given and the robot can have it, these joint values are for the full pose even if less is matched:
-    what is left free stays as the program has it.
+    Without poses in the program, they are those that the nominal robot has at the program's joint values. If a full
+    pose is given and the robot can have it, these joint values are for the full pose even if less is matched: what is
+    left free stays as the program has it.
     """
     nominal = pair.nominal
     if program.T_wanted is None:
@@ -222,6 +226,7 @@ def _find_poses_to_send(
 ) -> tuple[Array, Array]:
     """Return the poses in the base to send for joint values (N, m), (N, 4, 4) [m], and what the true robot then misses.
 
+    That is a distance [m] and an angle [rad] from the wanted poses in the base, shape (N, 2), see `Matching.misses`.
     The controller's own inverse kinematics q_nominal(T_send) is taken to stay near the joint values that it has for the
     wanted pose. A robot without a redundant joint then arrives at the joint values that were meant. One that has a
     redundant joint chooses where its elbow goes, and the pose is corrected for that choice, a few times over:

@@ -90,7 +90,7 @@ class ExpectedErrors(Value):
 
     @property
     def band(self) -> tuple[float, float]:
-        """Ends of the range of the mean error over all rows for `BAND` of robots [m].
+        """Ends of the range [m] in which the mean error over all rows lies for a share `BAND` of calibrations.
 
         It differs from robot to robot, because the errors of all rows come from the same few unknowns. Its distribution
         is taken to be a multiple of chi, the root of chi-squared, with the expected mean.
@@ -117,6 +117,9 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
 
     Returns:
         The errors of the N rows, and their sources.
+
+    Raises:
+        ValueError: The pair is of two robots, without a result.
     """
     result = _result(pair)
     part = result.part(non_geometric=pair.non_geometric)
@@ -146,7 +149,7 @@ def _result(pair: Pair) -> Calibration:
 def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tuple[View, View, View]:
     """Return views of the measured target, of the tool, and of the tool in the program's frame, at joint values (N, m).
 
-    The first two are in the measurement frame.
+    The first two are in the measurement frame. If the tool is not a target, the target nearest to it is measured.
     """
     setup = part.setup
     if pair.target is None:
@@ -194,10 +197,10 @@ def _freedom(
 ) -> float:
     """Return the degrees of freedom of the mean square error over the program, a multiple of chi-squared.
 
-    It is the sum of what the model lacks, s^2, estimated from held-out rows, and of sum_k g_k z_k^2 of the unknowns
-    that the program's rows share, with standard normal z. The variances g are estimates as well: the part b that comes
-    from the priors, whose standard deviations are estimated from as many errors as there are joints; and the rest, from
-    the noise.
+    It is the sum of what the model lacks, s^2 (``lacking`` [m^2]), estimated from held-out rows, and of sum_k g_k z_k^2
+    of the unknowns that the program's rows share, with standard normal z. The variances g are estimates as well: the
+    part b that comes from the priors, whose standard deviations are estimated from as many errors as there are joints;
+    and the rest, from the noise.
 
         n  =  (s^2 + sum g)^2 / (s^4 / rows + sum g^2 + b^2 / joints + (sum g - b)^2 / freedom of the noise)
     """
@@ -226,8 +229,8 @@ def _contributions(
 ) -> dict[Source, float]:
     """Split the mean square of the positions' errors [m^2] into contributions of all sources, none below 0.
 
-    They are what the model lacks; the measured target ``near`` the measured poses; the target at the program's poses;
-    the tool there; and the tool in the frame of the program.
+    They are what the model lacks, ``lacking``; the target near the measured poses, ``near``; and, each as far as it
+    exceeds the one before, the target at the program's poses, the tool there, and the tool in the program's frame.
     """
     views = [float(view.mean_square[0]) for view in (target, tool, arrived)]
     # A pose or tool that is known better than the one before it takes its share off the sources before.
@@ -238,9 +241,10 @@ def _contributions(
 
 
 def _lacking(result: Calibration, part: FittedModel, predicted_angle: float) -> Array:
-    """Return mean squares of the errors that a model lacks, of positions [m^2] and angles [rad^2], (2,); 0 if none.
+    """Return mean squares of the errors that a model cannot describe, of positions [m^2] and angles [rad^2], (2,).
 
-    The mean square of the predicted angles' errors by the covariance is given, [rad^2].
+    They are 0 if the model was not cross-validated, or its held-out errors are explained by noise and by the errors of
+    its parameters; for angles the mean square of the latter is given, [rad^2].
     """
     if part.cross_validation is None:
         return np.zeros(2)
@@ -264,6 +268,7 @@ def _beyond_noise(
 ) -> float:
     """Return the mean square of held-out errors beyond noise and prediction, three axes together; 0 if it is by chance.
 
+    All are of positions ([m], squares [m^2]) or all of angles ([rad], [rad^2]); ``predicted`` is a mean square too.
     With the mean square v = rms^2 / scalars of a held-out scalar and u = predicted / 3 of its prediction by a fit of
     all rows, the leverage h of a row solves u = v h (1 - h), and v (1 - h) is the variance of the noise and of what the
     model lacks. The noise sigma of a scalar has degrees of freedom; one of NaN is not known and counts as error.
@@ -286,9 +291,10 @@ def _beyond_noise(
 def _instrument_noise(
     result: Calibration,
 ) -> tuple[NoiseSource, dict[str, float], dict[str, float]]:
-    """Return the source of the noise of lengths, and by unit, [m] and [rad], its standard deviation and its freedom.
+    """Return the source of the noise of lengths, and its standard deviations and degrees of freedom by unit, m and rad.
 
-    A standard deviation is of one scalar, NaN if it is not known.
+    A standard deviation is of one scalar: as stated, with infinite degrees of freedom, else from repeated rows, else
+    NaN.
     """
     sigma = dict.fromkeys(_POSE_UNITS, np.nan)
     freedom = dict.fromkeys(_POSE_UNITS, 0.0)

@@ -222,7 +222,7 @@ def _search(
     pulled: bool,
     steps: int,
 ) -> tuple[Array, Array, Array, Array]:
-    """Take steps of N rows inside the limits until each rests.
+    """Take steps of N rows from start values towards wanted poses of the tool, inside the limits, until each rests.
 
     If ``pulled``, a redundant arm is drawn towards the joint values (N, m) that it starts at. Returned are the joint
     values where the rows rest, T_base_tool and twists there as of `Arm.motion`, and the error left of `Matching.error`.
@@ -272,9 +272,10 @@ def _search(
 def _step_inside(
     jacobian: Array, error: Array, damping: Array, pull: Array | None, q: Array, limits: Array
 ) -> Array:
-    """Return the step of `_step`, not longer than `_LONGEST_STEP`, that pushes no joint through its limit.
+    """Return the step of `_step`, (n, m) [rad] or [m], shortened to `_LONGEST_STEP`, that pushes no joint outwards.
 
-    Joints that the step would push through their limits are held, until none of these is left.
+    The joint values q are (n, m), their limits (m, 2); one at a limit is not moved beyond it. Joints that the step
+    would push through their limits are held, until none of these is left.
     """
     low, high = limits.T
     held = np.zeros(q.shape, dtype=bool)
@@ -376,7 +377,10 @@ def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Arra
 
 
 def _by_whole_turns(robot: Robot, q: Array, seed: Array, allowed: Array) -> Array:
-    """Return joint values (n, m) with each joint turned by whole turns as near to a seed (m,) as its limits allow."""
+    """Return joint values (n, m), each turned by whole turns as near to a seed (m,) as limits (m, 2) allow.
+
+    Joints that slide, or that others follow in another ratio than 1, stay.
+    """
     may_turn = []
     for name, column in zip(robot.joint_names, robot.mimic_matrix.T, strict=True):
         turns = robot.joint_types[name] != "prismatic"

@@ -155,7 +155,10 @@ class Arm(Value):
 
 
 def _motion_per_value(terms: Sequence[Parameter], values: Array, state: JointState) -> Array:
-    """Return the motion of a joint per change of its value, (N,): 1, and the slopes of its errors."""
+    """Return the motion of a joint per change of its value at N states, (N,): 1, and the slopes of its errors.
+
+    The errors are the terms, with their values in their units; those of other joints do not count.
+    """
     per_value = np.ones(len(state.values))
     for term, value in zip(terms, values, strict=True):
         if term.place == state.joint and term.factor and term.factor.slope:
@@ -183,7 +186,7 @@ class Pair(Value):
     non_geometric: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse two robots of which one cannot be a calibration of the other."""
+        """Raise `ModelError` for two robots whose tools are too far apart for one to be a calibration of the other."""
         robot = self.nominal.robot
         q = spread_poses(robot, _POSES)
         difference = self.actual.poses(q)[:, :3, 3] - self.nominal.poses(q)[:, :3, 3]
@@ -211,14 +214,17 @@ def pair_of(
     frame: ArrayLike | str | None = None,
     non_geometric: bool | Payload = True,
 ) -> Pair:
-    """Make the pair of nominal and actual robot.
+    """Make the pair of the nominal robot, which the controller has, and the actual one, each with the tool.
 
     Args:
-        calibration: See `calib.verbs.compensate.compensate.compensate`.
-        nominal: See there.
-        tool: See there.
-        frame: See there.
-        non_geometric: See there.
+        calibration: The model of the actual robot: a result, or a corrected robot.
+        nominal: The model that the controller has; None: the nominal robot of the result.
+        tool: A pose in the tip, shape (4, 4) [m], or a position, shape (3,); or the name of a target of the result
+            ("" for the only one), which each robot has where its own model has it; None: the tip itself.
+        frame: The base in the frame of the program's poses, shape (4, 4) [m], or the name of a station of the result
+            ("" for the only one); None: the base.
+        non_geometric: Whether to use the result's non-geometric model, if there is one; or the payload to use it with,
+            in place of the one at its calibration.
 
     Returns:
         The pair.
@@ -289,7 +295,10 @@ def pair_of(
 
 
 def _find_name(names: Sequence[str], name: str, what: str) -> str:
-    """Return the name if it is one of some names, or the only one for the empty name; raises `ModelError`."""
+    """Return the name if it is one of some names, or the only one for the empty name; else it raises `ModelError`.
+
+    What is named, ``"target"`` or ``"station"``, is for the message.
+    """
     if name in names:
         return name
     if not name and len(names) == 1:
@@ -301,7 +310,10 @@ def _find_name(names: Sequence[str], name: str, what: str) -> str:
 
 
 def _pose(value: ArrayLike | str | None, what: str) -> Array:
-    """Return a pose or a position (3,) [m] as a pose (4, 4), and None as the identity; raises `ModelError`."""
+    """Return a pose (4, 4) or a position (3,) [m] as a pose, and None as the identity; `ModelError` for all else.
+
+    What it is, ``"tool"`` or ``"frame"``, is for the message; the position of a tool is checked to be in metres.
+    """
     T = np.eye(4)
     values = T if value is None else numbers(what, value, _POSE)
     if values.shape == (3,):

@@ -67,7 +67,7 @@ class PoseCovariance(NamedTuple):
 
 
 def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
-    """Compute the covariance of the poses of a view by the parameters of a fit.
+    """Compute the covariance of the poses of a view that the parameters' covariance after a fit makes.
 
     Args:
         part: A result's geometry or its non-geometric model, with p parameters.
@@ -166,7 +166,7 @@ def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
 
 
 def _left_out(result: Calibration, part: FittedModel) -> Array:
-    """Return the projection of twists (6, 6) in the first joint's placement onto those that a model leaves out.
+    """Return the projection P (6, 6) of twists in the first joint's placement onto those that a model leaves out.
 
     P = I - D^+ D,    D: directions of its errors and of frozen ones, one a row
     """
@@ -185,7 +185,10 @@ def _left_out(result: Calibration, part: FittedModel) -> Array:
 
 
 def _derivative(part: FittedModel, view: View) -> Callable[[Samples], Array]:
-    """Return the derivative of poses by the p parameters and a motion of the base: N samples to (N, 6, p + 6)."""
+    """Return a function that differentiates poses by the p parameters and a motion of the base.
+
+    From N samples it returns their twists, linear part first, (N, 6, p + 6), [m] and [rad] per unit.
+    """
     kinematics, x = part.kinematics, part.x
     if view.T_tip_tool is not None:
         tools = np.broadcast_to(view.T_tip_tool, kinematics.T_tip_target.shape)

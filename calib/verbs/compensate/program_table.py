@@ -147,7 +147,7 @@ def read_program(
 
 
 def _name_columns(table: Table, robot: Robot, options: ColumnOptions) -> Named:
-    """Return the table's columns by calib's names.
+    """Return the table's columns by calib's names, as the options and the robot's joint names map them.
 
     A table of commands raises `MeasurementError`, and so does one whose joints are named as a brand does.
     """
@@ -171,9 +171,9 @@ def _has_values(table: Table, index: int) -> bool:
 
 
 def _complete_columns(table: Table, named: Named, names: Sequence[str]) -> Columns:
-    """Return the columns of all names; none if all their cells are empty, as in a plan that nobody measured yet.
+    """Return the columns of all names; () if none has a column, or all their cells are empty, as in an unmeasured plan.
 
-    Raises `MeasurementError` if only some of the names have a column.
+    It raises `MeasurementError` if only some of the names have a column.
     """
     columns = [named[name] for name in names if name in named]
     if columns and len(columns) < len(names):
@@ -283,7 +283,7 @@ def write_commands(
 def _number_columns(
     names: Sequence[str], units: Sequence[str], values: Array
 ) -> Iterator[Sequence[str]]:
-    """Yield header and cells of each column of values (N, columns), in SI units; the cell of NaN is empty."""
+    """Yield header and cells, in the units named, of each column of values (N, columns) in SI units; NaN is empty."""
     for name, symbol, column in zip(names, units, values.T, strict=True):
         scale, digits = _UNITS[symbol]
         cells = []

@@ -55,7 +55,7 @@ class Program(Value):
     form: str = ""
 
     def __post_init__(self) -> None:
-        """Check the values, and make the arrays read-only copies."""
+        """Check the values, which raises `CalibError`, and make the arrays read-only copies."""
         check_names("labels", self.labels)
         check_type("match", self.match, (str, type(None)), f"one of {choices(MATCHES)}, or None")
         if self.start is not None:
@@ -112,7 +112,7 @@ class Program(Value):
         """Make a program of poses of the tool.
 
         Args:
-            T_wanted: shape (N, 4, 4) or (4, 4), [m].
+            T_wanted: Poses in the frame that the commands are computed with, shape (N, 4, 4) or (4, 4), [m].
             q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
             start: Joint values by name near which the search for the first pose starts, without ``q`` [rad] or [m];
                 None: mid range.
@@ -134,7 +134,7 @@ class Program(Value):
         """Make a program of positions of the tool, its orientation left free.
 
         Args:
-            points: shape (N, 3) or (3,), [m].
+            points: Positions in the frame that the commands are computed with, shape (N, 3) or (3,), [m].
             q: Joint values at which the search starts, shape (N, m), [rad] or [m]; None: not given.
             start: Joint values by name near which the search for the first point starts, without ``q`` [rad] or [m];
                 None: mid range.

@@ -83,7 +83,7 @@ _TEXTS: dict[Code, str] = {
 
 
 def text(commands: Commands, name: str, written: Path | None) -> str:
-    """Write commands.
+    """Write what `calib compensate` prints on commands.
 
     Args:
         commands: The commands.
@@ -145,7 +145,7 @@ def _reasons(commands: Commands) -> list[tuple[CommandWarning, ...]]:
 def _findings_paragraph(
     commands: Commands, what: str, rows: Sequence[Sequence[CommandWarning]]
 ) -> str:
-    """Write a paragraph of the findings about each row with its heading; empty if there are none."""
+    """Write a paragraph of findings, given for each row, headed by what these rows are; empty if there are none."""
     if not any(rows):
         return ""
     head = f"Rows {what}: {sum(map(bool, rows))} of {len(commands)}"
@@ -153,7 +153,7 @@ def _findings_paragraph(
 
 
 def _findings(commands: Commands, rows: Sequence[Sequence[CommandWarning]]) -> list[str]:
-    """Write a line for each code among the findings about the rows, with its first row as the example."""
+    """Write lines of findings, given for each row: for each code its first row, and how many more have it."""
     by_code: dict[str, dict[str, CommandWarning]] = {}
     for label, findings in zip(commands.program.labels, rows, strict=True):
         for finding in findings:
@@ -191,7 +191,7 @@ def finding_text(finding: CommandWarning, robot: Robot) -> str:
 
 
 def _verdict(commands: Commands, name: str) -> str:
-    """Write the verdict on the result, and which of its models is used."""
+    """Write the verdict on the model in use, which is from the file ``name``, and its reasons; which model that is."""
     pair = commands.pair
     if pair.result is None:
         lines = [
@@ -251,7 +251,7 @@ def _expected_errors(commands: Commands) -> str:
 
 
 def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
-    """Word what lowers the largest contribution, and what is not known of the errors."""
+    """Yield sentences on what the expected errors leave out, and on what lowers the largest contribution to them."""
     pair, largest = commands.pair, expected.largest
     result = pair.result
     assert result is not None  # else nothing is expected
@@ -307,7 +307,7 @@ def _program(commands: Commands) -> str:
 
 
 def _corrections(commands: Commands) -> str:
-    """Write the table of errors with and without compensation, and of corrections of poses and joints."""
+    """Write the table of errors with and without compensation, and of corrections, of rows with commands [mm, deg]."""
     title = f"By the calibrated model, rows with commands: {int(commands.reached.sum())}"
     columns = [name_column(title, _LABEL)]
     columns += [Column(head, 9) for head in ("max mm", "mean mm", "max deg", "mean deg")]
@@ -360,7 +360,7 @@ def _listed(values: Array) -> str:
 
 
 def _mismatch(commands: Commands) -> str:
-    """Word that the joint values of a program do not belong to its poses; empty if they do."""
+    """Word that the joint values of a program do not belong to its poses; empty if they do, or only one is there."""
     program, pair = commands.program, commands.pair
     if program.q is None or program.T_wanted is None:
         return ""

@@ -48,7 +48,7 @@ def within(misses: Array, allowed: tuple[float, float]) -> Mask:
         allowed: The largest of each [m], [rad].
 
     Returns:
-        shape (N,).
+        True where distance and angle are at most as large as allowed, shape (N,).
     """
     return np.asarray((misses[:, 0] <= allowed[0]) & ~(misses[:, 1] > allowed[1]))
 
@@ -102,6 +102,9 @@ def find_warnings(
     commands: Commands, tolerance: tuple[float, float]
 ) -> tuple[tuple[CommandWarning, ...], ...]:
     """Find what a person should know about each row that has a command.
+
+    That is a singularity nearby, a large correction, a jump from the row before, a pose that the controller may reach
+    otherwise, or joint values outside those measured.
 
     Args:
         commands: The commands, whose own warnings do not count.

@@ -61,7 +61,8 @@ def anchored_placements(placements: Array, nominal: Array, axes: Sequence[Array]
 def _to_next_axis(T: Array, nominal: Array, axis: Array, next_axis: Array) -> Array:
     """Return the motion, (4, 4) [m], along and about an axis that brings the next axis nearest to its nominal line.
 
-    ``T`` and ``nominal`` are the next joint's poses in the frame, ``next_axis`` is in the next joint's frame.
+    ``T`` and ``nominal`` are the next joint's poses in the frame of this one, (4, 4) [m]; ``next_axis`` is in the next
+    joint's frame. If both axes nearly coincide, the motion is the identity.
     """
     direction = T[:3, :3] @ next_axis
     point = T[:3, 3]

@@ -62,7 +62,7 @@ def estimated_board(calibration: Calibration, name: str | None = None) -> Estima
         name: Name of the board; None: the only one.
 
     Raises:
-        ModelError: There is no such board, there are several and none is named, or its orientation is not known.
+        ModelError: There is no such board, there are several and none is named, or it is a point without orientation.
     """
     setup = calibration.setup
     index = index_of("board", "--board", name, setup.targets)
@@ -76,7 +76,7 @@ def estimated_board(calibration: Calibration, name: str | None = None) -> Estima
 
 
 def index_of(what: str, option: str, name: str | None, names: tuple[str, ...]) -> int:
-    """Return the index of a name.
+    """Return the index of a name among all names, from 0.
 
     Args:
         what: Kind of thing that is named, for messages: ``"camera"``.
@@ -101,10 +101,10 @@ def index_of(what: str, option: str, name: str | None, names: tuple[str, ...]) -
 
 
 def check_names(options: CameraOptions) -> None:
-    """Refuse names of links that do not go together, or none at all.
+    """Refuse names of links, of a board or of a joint that do not go together, or no link at all.
 
     Args:
-        options: The names.
+        options: The names for the hand-over of a camera.
 
     Raises:
         CalibError: They do not; the message says which to give.

@@ -76,7 +76,7 @@ def calibrated_camera(calibration: Calibration, name: str | None) -> Camera:
         name: Name of the camera's station; None: the only camera.
 
     Raises:
-        ModelError: See `camera_of_station`.
+        ModelError: The calibration has no such camera, or several and none is named.
     """
     return camera_of_station(calibration.optics.cameras, calibration.setup.groups, name)
 

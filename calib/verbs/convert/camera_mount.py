@@ -111,7 +111,10 @@ class Handover(Value):
 
 
 def _with_new_link(urdf: Urdf, estimated: EstimatedFrame, name: str) -> tuple[Urdf, PlacedFrame]:
-    """Return a URDF with a new link of this name at an estimated frame, and the frame with its link and joint."""
+    """Return a URDF with a link of this name fixed at an estimated frame, and the frame with its link and joint.
+
+    A link of this name that is fixed to the same parent is moved; any other raises `UrdfError`.
+    """
     urdf = with_fixed_link(urdf, name, estimated.link, estimated.T_link_frame)
     joint = next(joint for joint in urdf.joints if joint.child == name)
     return urdf, PlacedFrame(estimated, name, joint, None)
@@ -125,7 +128,7 @@ def mounted(source: Source, options: Options) -> Source:
         options: ``camera``, the names of the frames.
 
     Raises:
-        CalibError: See `Handover.of`.
+        CalibError: The source is not a calibration, no link is named, or there is no such camera, board, link or joint.
         UrdfError: A reader of the URDF has a frame at another pose.
     """
     handover = Handover.of(source, options.camera)
@@ -139,7 +142,7 @@ def mounted(source: Source, options: Options) -> Source:
 
 
 def pose_text(T: Array) -> str:
-    """Word a pose (4, 4) [m]: x y z, and roll pitch yaw about the fixed axes."""
+    """Word a pose (4, 4) [m]: x y z in mm, and roll pitch yaw about the fixed axes in deg."""
     place = " ".join(mm(length) for length in T[:3, 3])
     angles = " ".join(deg(angle) for angle in pin.rpy.matrixToRpy(T[:3, :3]))
     return f"x y z = {place} mm, roll pitch yaw = {angles} deg"
@@ -171,7 +174,7 @@ def mount_text(conversion: Conversion) -> list[str]:
 
 
 def _placed(frame: PlacedFrame) -> Iterator[str]:
-    """Word the pose of a frame and its distance from the former one, and ask about a distance that looks wrong."""
+    """Word the pose of a frame and its distance from the former one, and ask about a rotation that looks wrong."""
     estimated = frame.estimated
     T_before, T_after = frame.T_link_before, estimated.T_link_frame
     where = f"'{frame.link}' is at {pose_text(T_after)} in '{estimated.link}'"

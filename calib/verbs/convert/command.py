@@ -149,7 +149,7 @@ def convert(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Convert SOURCE into the file and print what the format does not hold."""
+    """Convert SOURCE into the file, and print what was read and written, and what the format does not hold."""
     from calib.verbs.convert.convert import convert as convert_robot
     from calib.verbs.convert.format import CameraOptions, Options
     from calib.verbs.convert.text import text

@@ -122,7 +122,10 @@ class DHTables:
         return cls(robot, nominal, after, before)
 
     def added(self) -> list[Added]:
-        """Return what a controller adds to each row."""
+        """Return what a controller adds to each row's theta, or to its d if the joint slides.
+
+        That is a linear function of the readings of the joints: for most rows the reading of the row's own joint.
+        """
         robot = self.robot
         at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0].tolist()
         by_readings = robot.mimic_matrix @ robot.reading_matrix
@@ -142,7 +145,7 @@ class DHTables:
 
     @property
     def notes(self) -> Notes:
-        """Notes for whoever types the rows in."""
+        """Notes on nearly parallel axes, whose numbers are large, and on rows whose own joint has no value."""
         notes = []
         rows = self.after.rows
         pairs = near_parallel(self.robot) if self.after.convention != HAYATI else {}
@@ -164,7 +167,7 @@ class DHTables:
         return tuple(notes)
 
     def states(self) -> dict[str, DHTable]:
-        """Return the tables of a file by name: ``robot``; or ``before``, ``after``, ``change``.
+        """Return the tables of a file by name: ``before``, ``after``, ``change``; or ``robot`` if before is not known.
 
         The change is after minus before; for the constant poses it is before^-1 after.
         """
@@ -182,7 +185,7 @@ class DHTables:
 
 
 def _check_poses(robot: Robot, table: DHTable, q: Array) -> None:
-    """Compare DH rows with their robot at joint values q (N, n) [rad or m]; `ModelError` if they differ."""
+    """Compare poses by DH rows with the robot's at joint values q (N, n) [rad or m]; `ModelError` if they differ."""
     difference = np.abs(table.poses(robot.chain_values(q)) - robot.poses(q)).max()
     # Axes that are taken as parallel displace the tip by the angle times the arm's length, in both directions.
     length = 1.0 + np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum()
@@ -214,14 +217,17 @@ def _sheet(robot: Robot, convention: str) -> DHTable | None:
 
 
 def _with_unit(row: DHRow, value: float | None) -> str:
-    """Return a value of a row's joint, [m] if it slides or [rad], as text in mm or deg; empty for None."""
+    """Return a value of a row's joint, [m] if it slides, else [rad], as text in mm or deg; empty for None."""
     if value is None:
         return ""
     return f"{1e3 * value:.12g} mm" if row.prismatic else f"{np.degrees(value):.12g} deg"
 
 
 def _formula(factors: Mapping[str, float], offset: float, row: DHRow) -> str:
-    """Return `Added.formula`: the sum of joints' values times factors, by name, and an offset [rad or m]."""
+    """Return `Added.formula`, such as ``"-2 * arm + 5 deg"``: joints' values times factors by name, plus an offset.
+
+    The offset is [m] if the row's joint slides, else [rad]; without factors the joint is held at it.
+    """
     constant = _with_unit(row, offset)
     if not factors:
         return f"held at {constant}"
@@ -323,7 +329,7 @@ def _number(value: float, head: str) -> str:
 
 
 def _write(convention: str | None, source: Source, path: Path, options: Options) -> Notes:
-    """Write DH rows beside the nominal ones, if the nominal robot is another one.
+    """Write DH rows as CSV or JSON, by the ending, beside the nominal ones if the nominal robot is another one.
 
     Without a convention it is that of the rows that the robot was made from, else the standard one.
     """

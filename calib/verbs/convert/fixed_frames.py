@@ -130,7 +130,10 @@ def _product(urdf: Urdf, joints: Iterable[str]) -> Array:
 
 
 def _fixed_joints(urdf: Urdf, link: str, frame: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints from the nearest common ancestor down to a link and to a frame, all of which must be fixed."""
+    """Return the joints from the nearest common ancestor down to a link, and those down to a frame.
+
+    If one of them is not fixed, it raises `UrdfError`.
+    """
     upwards, downwards = urdf.chain(link, frame)
     joints = [urdf.joint(name) for name in (*upwards, *downwards)]
     moving = [joint for joint in joints if joint.type != "fixed"]
@@ -144,7 +147,7 @@ def _fixed_joints(urdf: Urdf, link: str, frame: str) -> tuple[tuple[str, ...], t
 
 
 def _check_between(urdf: Urdf, link: str, frame: str, joint: str) -> None:
-    """Refuse a joint that is not between a frame and its nearest common ancestor with a link."""
+    """Raise `UrdfError` for a joint that is not between a frame and its nearest common ancestor with a link."""
     upwards, downwards = _fixed_joints(urdf, link, frame)
     if joint in downwards:
         return

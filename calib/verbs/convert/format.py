@@ -105,7 +105,11 @@ class Options:
         keep_read_only(self, "coupling")
 
     def load(self, source: RobotInput) -> Robot:
-        """Return a robot, given or by its URDF, xacro or name, between the links of these options."""
+        """Return a robot, given or by its URDF, xacro or name, with the chain that these options name.
+
+        Of base, tip, held joints and coupling, what the options leave out is that of the given robot, or for a file or
+        a name the usual chain.
+        """
         if not isinstance(source, Robot):
             held, coupling = self.held or {}, self.coupling or {}
             return robot_of(
@@ -144,10 +148,10 @@ class Source(Value):
     calibration: Calibration | None = None
 
     def require_calibration(self) -> Calibration:
-        """Return the result itself.
+        """Return the calibration that was read.
 
         Raises:
-            CalibError: Another file was read.
+            CalibError: It was not a calibration, but a robot alone.
         """
         if self.calibration is None:
             raise CalibError(

@@ -96,7 +96,7 @@ class JointOrigin(NamedTuple):
 
 
 def origins_of(robot: Robot) -> dict[str, JointOrigin]:
-    """Return the origins of the URDF joints that carry the chain's placements.
+    """Return the origins, in their parent links, of the URDF joints that carry the chain's placements.
 
     Args:
         robot: The robot.
@@ -202,7 +202,10 @@ def read_origins(path: str | os.PathLike[str], data: bytes | None = None) -> dic
 
 
 def _three_numbers(value: object) -> tuple[float, ...] | None:
-    """Return three numbers from a text, or from a list, as other programs write them; None if it is neither."""
+    """Return three numbers from a text, or from a list, as other programs write them.
+
+    None if it is neither, or a number is larger than any in metres or radians.
+    """
     words = value.split() if isinstance(value, str) else value
     if not isinstance(words, list) or len(words) != 3:
         return None
@@ -218,7 +221,10 @@ def _three_numbers(value: object) -> tuple[float, ...] | None:
 
 
 def _write_pal(source: Source, path: Path, options: Options) -> Notes:
-    """Write the corrections of a robot's joint origins as PAL Robotics' robots read them, in m and rad."""
+    """Write what is to be added to a robot's joint origins as PAL Robotics' robots read it, in m and rad.
+
+    Without a nominal robot it raises `CalibError`; numbers that are rounding are left out.
+    """
     if source.nominal is None:
         raise CalibError(
             f"{path}: corrections are added to the URDF that the robot runs; give it as --robot."
@@ -267,7 +273,9 @@ def origin_change(origin: JointOrigin, T_parent_joint: Array) -> Array:
 def with_pal_corrections(
     origins: Mapping[str, JointOrigin], data: bytes, path: str | Path
 ) -> dict[str, JointOrigin]:
-    """Return origins with the corrections of a file.
+    """Return origins with the corrections of a file of PAL Robotics added to their numbers.
+
+    A number that the file does not have is not corrected.
 
     Args:
         origins: The origins as the URDF has them, by the joints' names.
@@ -300,7 +308,10 @@ def _write(source: Source, path: Path, options: Options) -> Notes:
 
 
 def _read(source: str, options: Options) -> Source:
-    """Read an origins file as a source: the robot that the options name, with these origins; others stay."""
+    """Read an origins file as a source: the robot that the options name, with these origins; others stay.
+
+    Without a robot in the options it raises `CalibError`.
+    """
     origins = read_origins(source)
     if options.robot is None:
         raise CalibError(

@@ -21,9 +21,11 @@ from calib.verbs.convert.ur_arms import Mount, the_mount, ur_robot
 def result_source(result: Calibration, options: Options, name: str) -> Source:
     """Return a result as a source, on the given robot, nominal or corrected, or on the URDF that it holds.
 
+    A non-geometric model is left out, which a note says.
+
     Args:
         result: The result.
-        options: Options of the conversion.
+        options: Options of the conversion: the robot, and which arm it is. Base, tip and held joints are the result's.
         name: Name of the result in messages.
 
     Raises:
@@ -71,7 +73,12 @@ def robot_source(given: RobotInput, options: Options) -> Source:
 
     Args:
         given: The robot, the path of its file, or its name.
-        options: The nominal robot, base and tip, and the arm of Universal Robots, if they are given.
+        options: The nominal robot, base and tip, and the arm of Universal Robots, if they are given. Without a nominal
+            robot it is the bare arm that is named; a robot that is a known arm as on its data sheet is its own.
+
+    Raises:
+        UrdfError: A URDF cannot be read.
+        ModelError: The robots have different joints, or are not the arm that is named.
     """
     robot = options.load(given)
     nominal = None
@@ -113,7 +120,10 @@ def _mount(robot: Robot) -> Mount | None:
 
 
 def write_urdf(source: Source, path: Path, options: Options) -> Notes:
-    """Write the URDF, read back by Pinocchio and yourdfpy; see `Format.write`."""
+    """Write the URDF of a robot, or with another nominal robot that one's URDF with the robot's placements.
+
+    It is read back by Pinocchio and yourdfpy first. The note is on coupled readings, which a URDF does not hold.
+    """
     robot = source.robot
     q = random_joint_values(robot)
     written = robot

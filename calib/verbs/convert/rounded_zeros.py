@@ -109,7 +109,7 @@ class RoundedZeros(Value):
 
     @classmethod
     def of(cls, source: Source, stored: StoredNumber) -> RoundedZeros:
-        """Round the zeros of a result.
+        """Round the joint zeros of a result to what a controller can store.
 
         Args:
             source: The result.
@@ -193,11 +193,11 @@ class RmsErrors(Value):
 
     @classmethod
     def of(cls, calibration: Calibration, rounded: RoundedZeros) -> RmsErrors:
-        """Compare the errors of a calibration's robots.
+        """Collect the rms errors of nominal robot, joint zeros alone, and whole calibration on the same rows.
 
         Args:
             calibration: The calibration.
-            rounded: Its zeros, rounded.
+            rounded: Its zeros, rounded, with the rows that their errors are of.
         """
         zeros = rounded.zeros
         others: dict[str, Errors] = {}
@@ -267,7 +267,7 @@ def check_improvement(rms_errors: RmsErrors, path: Path, *, accept: bool) -> Non
 
 
 def zeros_text(stored: StoredNumber, conversion: Conversion) -> list[str]:
-    """Word the joint zeros that a conversion wrote.
+    """Word the joint zeros of a result as a conversion wrote them, in mm and deg and as the controller stores them.
 
     Args:
         stored: Number, sign and unit in which the controller stores a zero.

@@ -80,7 +80,10 @@ class StaticTransform(Value):
 
     @property
     def arguments(self) -> list[str]:
-        """The arguments of static_transform_publisher, numbers with every digit."""
+        """The arguments of static_transform_publisher, each name followed by its value.
+
+        They are --x --y --z [m], --qx --qy --qz --qw, all with every digit, --frame-id and --child-frame-id.
+        """
         values = (*self.T_parent_child[:3, 3].tolist(), *self.quaternion.tolist())
         words = []
         for name, value in zip(_NUMBERS, values, strict=True):
@@ -94,7 +97,7 @@ class StaticTransform(Value):
 
 
 def file_of(transform: StaticTransform, about: str, path: Path) -> bytes:
-    """Return a shell script, or by the ending `LAUNCH` a launch file, that publishes a pose.
+    """Return the bytes of a shell script, or by the ending `LAUNCH` of a launch file, that publishes a pose in tf2.
 
     Args:
         transform: The pose.

@@ -82,7 +82,7 @@ def chain_poses(chain: Array, q: ArrayLike) -> Array:
     """Return the poses of a chain's flange in the controller's base.
 
     Args:
-        chain: Placements, shape (7, 4, 4) [m].
+        chain: Placements of the six joints and the flange, shape (7, 4, 4) [m].
         q: Joint values, shape (N, 6) or (6,) [rad].
 
     Returns:
@@ -98,10 +98,10 @@ def chain_poses(chain: Array, q: ArrayLike) -> Array:
 def at_flange(chain: Array) -> Array:
     """Return the same chain with the frame of joint 6 as near to the flange as possible.
 
-    The frame slides along and turns about the joint's axis, which changes no pose.
+    The frame slides along and turns about the joint's axis, which changes no pose of the flange.
 
     Args:
-        chain: Placements, shape (7, 4, 4) [m].
+        chain: Placements of the six joints and the flange, shape (7, 4, 4) [m].
 
     Returns:
         Placements of the same poses, shape (7, 4, 4) [m], read-only.
@@ -136,7 +136,7 @@ class Mount:
     nominal: bool
 
     def chain_of(self, robot: Robot) -> Array:
-        """Return the chain of the arm that a robot with this mount is.
+        """Return the chain of the arm, in the arm's own frames, that a robot with this mount is.
 
         Args:
             robot: A robot with the frames of the URDF, nominal or calibrated.
@@ -220,11 +220,11 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> Mount:
 
 
 def distance_from(chain: Array, arm: UrModel) -> float:
-    """Return the largest distance of a chain's flange from that of the nominal arm [m].
+    """Return the largest distance of a chain's flange from that of the nominal arm [m], over poses spread widely.
 
     Args:
-        chain: Placements, shape (7, 4, 4) [m].
-        arm: The arm.
+        chain: Placements of the six joints and the flange, shape (7, 4, 4) [m].
+        arm: The nominal arm.
     """
     nominal = chain_poses(arm.chain, SPREAD)
     moved = chain_poses(chain, SPREAD)[:, :3, 3] - nominal[:, :3, 3]

@@ -80,7 +80,7 @@ class Conf(NamedTuple):
             data: The bytes of a file that is not written yet; None: they are read from ``path``.
 
         Returns:
-            Its deltas and other contents.
+            Its deltas, (6, 4) [rad], [m], its status, and the rest of the file.
 
         Raises:
             FileError: The file cannot be read, or lacks these numbers.
@@ -131,7 +131,10 @@ def read_nominal(path: PathLike) -> Array:
 
 
 def _section(path: PathLike, text: str, name: str) -> dict[str, str]:
-    """Return the values of a section by key, which may be in several parts of the file; empty if there is none."""
+    """Return the values of a section by key, as texts; the section may be in several parts of the file, or in none.
+
+    A file that does not have the form of sections raises `FileError`.
+    """
     parser = configparser.ConfigParser(
         strict=False, interpolation=None, inline_comment_prefixes=("#", ";"), default_section=""
     )
@@ -144,7 +147,11 @@ def _section(path: PathLike, text: str, name: str) -> dict[str, str]:
 
 
 def _columns(path: PathLike, values: Mapping[str, str], largest: Mapping[str, float]) -> Array:
-    """Return the six numbers of each key of ``largest``, shape (6, 4), or refuse larger ones."""
+    """Return the lists of six numbers that are the values of the keys of ``largest``, as columns of an array (6, keys).
+
+    Numbers are in m and rad. If a key has no such list, or a number is larger than ``largest`` allows, it raises
+    `FileError`.
+    """
     columns = []
     for key, most in largest.items():
         words = values.get(key, "").strip("[] ").split(",")
@@ -204,7 +211,7 @@ class KinematicsYaml(NamedTuple):
 
     @property
     def chain(self) -> Array:
-        """Placements of the six joints and of the flange, shape (7, 4, 4) [m]."""
+        """Placements of the six joints and of the flange, shape (7, 4, 4) [m]; that of the flange is the identity."""
         chain = np.tile(np.eye(4), (7, 1, 1))
         for (*xyz, roll, pitch, yaw), T in zip(self.numbers, chain, strict=False):
             T[:3, :3] = pin.rpy.rpyToMatrix(roll, pitch, yaw)

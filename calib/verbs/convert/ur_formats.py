@@ -150,7 +150,10 @@ def read_ur(
 def _read_conf(
     path: PathLike, arm: UrModel | None, robot: Robot | None, *, is_certain: bool
 ) -> Source:
-    """Read a ``calibration.conf`` of an arm; if this is not certain, note which other arms it fits."""
+    """Read a ``calibration.conf`` of an arm, whose nominal rows its deltas are added to, onto a robot or a bare arm.
+
+    If the arm is not certain, a note says which other arms the deltas fit. Without an arm it raises `ModelError`.
+    """
     conf = Conf.read(path)
 
     def chain_of(known: UrModel) -> Array:
@@ -187,7 +190,7 @@ def _read_conf(
 
 
 def _hash_notes(path: PathLike, hash: str | None) -> Notes:
-    """Return a note if a hash is that of a nominal arm."""
+    """Return a note if a hash is that of a nominal arm, which no particular robot has; else nothing."""
     if not any(kinematics_hash(known.rows) == hash for known in MODELS):
         return ()
     sentence = "{0} has the hash of a nominal arm, which does not identify a particular robot."
@@ -195,7 +198,10 @@ def _hash_notes(path: PathLike, hash: str | None) -> Notes:
 
 
 def _checked_distance(path: PathLike, arm: UrModel, chain_of: ChainOf) -> float:
-    """Return how far a calibration moves the flange of an arm [m]; `FileError` if that is too far for this arm."""
+    """Return how far a calibration moves the flange of an arm [m]; `FileError` if that is too far for this arm.
+
+    ``chain_of`` returns the calibrated chain, (7, 4, 4) [m], that the file means if it is of a given arm.
+    """
     moved = distance_from(chain_of(arm), arm)
     if moved <= _SUSPECT:
         return moved
@@ -289,7 +295,10 @@ def conf_file(
 
 
 def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
-    """Return how the arm of a source is mounted, and its chain, shape (7, 4, 4) [m]."""
+    """Return how the arm of a source is mounted, and its calibrated chain, shape (7, 4, 4) [m].
+
+    It raises `ModelError` if the nominal robot is not a known arm, and `FileError` for too large a correction.
+    """
     if source.nominal is None or source.model is None:
         raise ModelError(
             f"{path}: this format is for arms of Universal Robots, and the nominal robot is not a known one. "
@@ -305,7 +314,8 @@ def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
 def _in_the_sense_of(rows: Array, reference_rows: Array) -> Array:
     """Return the same DH rows, (6, 4), with senses of the common normals and turns of the angles as in a reference.
 
-    Of the two senses of a normal that with the sign of alpha is taken; between parallel axes that with nearer theta.
+    Rows and reference are theta, a, d, alpha, [rad] and [m]. Of the two senses of a normal that with the sign of alpha
+    is taken; between parallel axes that with nearer theta.
     """
     result = np.array(rows)
     for i in range(5):
@@ -377,7 +387,7 @@ def _displaced(code: str, sentence: str, T: Array) -> Notes:
 
 
 def _write_yaml(source: Source, path: Path, options: Options) -> Notes:
-    """Write a kinematics.yaml with the robot's own hash."""
+    """Write a kinematics.yaml with the robot's own hash; raises `CalibError` if neither source nor options have one."""
     hash = source.hash
     like = None
     notes: Notes = ()
@@ -414,7 +424,10 @@ def _launch(conversion: Conversion) -> str:
 
 
 def _write_conf(source: Source, path: Path, options: Options) -> Notes:
-    """Write the deltas of a calibration.conf, alone or in a copy of the controller's own file."""
+    """Write the deltas of a calibration.conf, alone or in a copy of the controller's own file.
+
+    Notes are on lines that were kept or left out, and on displacements of base and flange that the file cannot hold.
+    """
     updated = None if options.update is None else Conf.read(options.update)
     data, T_base, T_tool = conf_file(source, path, updated)
     write_atomically(path, data, overwrite=options.overwrite)
@@ -432,7 +445,10 @@ def _write_conf(source: Source, path: Path, options: Options) -> Notes:
 
 
 def _read(source: str, options: Options) -> Source:
-    """Read a calibration.conf or a kinematics.yaml, on the given nominal robot or on a bare one."""
+    """Read a calibration.conf or a kinematics.yaml, onto the given nominal robot, or onto a bare one of the arm.
+
+    A bare one has base, tip and held joints of the options.
+    """
     given = None if options.robot is None else options.load(options.robot)
     result = read_ur(source, urcontrol=options.urcontrol, model=options.ur_model, robot=given)
     has_chain = options.base or options.tip or options.held

@@ -61,10 +61,10 @@ _DYNAMIXEL_LIMIT = 1_044_479
 
 
 def table_bytes(robot: Robot, rounded: RoundedZeros, rms_errors: RmsErrors, ending: str) -> bytes:
-    """Return a table of zeros as the bytes of a file.
+    """Return a table of joint zeros as the bytes of a CSV or JSON file.
 
     Args:
-        robot: The robot.
+        robot: The robot, which the file names.
         rounded: Its zeros, rounded.
         rms_errors: The errors with them and without.
         ending: One of `TABLE_ENDINGS`.
@@ -212,11 +212,11 @@ class OffsetFile(NamedTuple):
 
 
 def offsets_bytes(file: OffsetFile, rounded: RoundedZeros, update: str | Path | None) -> bytes:
-    """Return the bytes of a file with offsets.
+    """Return the bytes of a file in which a controller keeps the offsets of its joints, with joint zeros added.
 
     Args:
         file: The kind of file.
-        rounded: The zeros.
+        rounded: The zeros, rounded to what the controller stores.
         update: The robot's own file, a copy of which gets the new offsets; None: the file has the changes alone, under
             the key with the suffix ``_change``.
 
@@ -243,7 +243,11 @@ def offsets_bytes(file: OffsetFile, rounded: RoundedZeros, update: str | Path | 
 def _add_changes(
     file: OffsetFile, rounded: RoundedZeros, table: dict[Any, Any], source: str
 ) -> None:
-    """Add the changes to the offsets in the table of a robot's own file, named ``source`` in messages."""
+    """Add the changes, times any gear ratio, to the offsets in the table of a robot's own file, in place.
+
+    The file is named ``source`` in messages. A joint without an entry, entries in several places, or an offset beyond
+    its limit raises `FileError`.
+    """
     changes, key, largest = rounded.by_joint(), rounded.stored.key, rounded.stored.largest
     places = list(_places(table, changes))
     if len(places) > 1:
@@ -283,7 +287,7 @@ def _places(table: object, names: Mapping[str, float]) -> Iterator[dict[str, Any
 
 
 def _old_offset(file: OffsetFile, entry: Mapping[str, Any], key: str, where: str) -> float:
-    """Return the offset of an entry; `FileError` if it has none that is a number."""
+    """Return the offset of an entry, in a YAML file 0 if it has none; `FileError` for what is not such a number."""
     if file.foreign_key in entry:
         raise FileError(
             f"{where}: it has a '{file.foreign_key}', so this is not a {file.what}. Choose the format of this file "
@@ -299,7 +303,10 @@ def _old_offset(file: OffsetFile, entry: Mapping[str, Any], key: str, where: str
 
 
 def _ratio(file: OffsetFile, entry: Mapping[str, Any], where: str) -> float:
-    """Return the ratio of the change of an offset to that of the joint; `FileError` if it is unknown."""
+    """Return the ratio of the change of an offset to that of the joint, 1 if the entry has none.
+
+    It raises `FileError` if the ratio, or its sign, is not known.
+    """
     if entry.get(file.inverted_key, 0) != 0:
         raise FileError(
             f"{where}: its {file.inverted_key} is {entry[file.inverted_key]}: whether the joint's reading grows with "
@@ -371,7 +378,10 @@ LEROBOT_DYNAMIXEL_JSON = LEROBOT_JSON._replace(
 
 
 def _write(file: OffsetFile | None, source: Source, path: Path, options: Options) -> Notes:
-    """Write the joint zeros of a result into a file with offsets, or into a table if ``file`` is None."""
+    """Write the joint zeros of a result into a file with offsets, or into a table if ``file`` is None.
+
+    It raises `FileError` for another ending, and `VerdictError` for zeros that are no better than none.
+    """
     endings = TABLE_ENDINGS if file is None else file.endings
     if path.suffix.lower() not in endings:
         raise FileError(f"{path}: this format is written as {choices(endings)}; end the name so.")
@@ -436,7 +446,7 @@ def _notes(
 
 
 def _format(what: str, file: OffsetFile | None) -> Format:
-    """Return the row of a file with offsets, or of the table if ``file`` is None."""
+    """Return the registry row of a kind of file with offsets, or of the table of zeros if ``file`` is None."""
     return Format(
         what,
         TABLE_ENDINGS if file is None else file.endings,

@@ -27,7 +27,7 @@ _KEY = (
 
 
 def write_contact_sheet(detection: Detection, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write the contact sheet.
+    """Write the contact sheet, an HTML page with findings and with every picture and its corners.
 
     Args:
         detection: The corners, and the pictures that they are in.
@@ -60,7 +60,10 @@ def contact_sheet(detection: Detection) -> Page:
 
 
 def _gallery_picture(picture: Picture, fewest: int) -> GalleryPicture:
-    """Return a picture with its corners, and how many of them are used or why none are."""
+    """Return a picture with its corners, and the text of how many are used of each board, or of why none are.
+
+    ``fewest`` is the number of corners below which a board was not used.
+    """
     several = len(picture.views) > 1
     counts = []
     for view in picture.used:

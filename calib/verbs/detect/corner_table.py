@@ -35,7 +35,7 @@ def with_cameras(files: Sequence[ImageFile], matches: Matches) -> tuple[ImageFil
 
 
 def with_rows_only(detection: Detection, matches: Matches) -> Detection:
-    """Return a detection in which pictures without a row of joint values are not used."""
+    """Return a detection whose pictures without a row of joint values are not used, for the reason `NO_ROW`."""
     pictures = []
     for picture, row in zip(detection.pictures, matches.rows, strict=True):
         is_left_out = row is None and not picture.reason
@@ -97,7 +97,10 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
 
 
 def _target(joints: JointTable, row: int, view: BoardView, *, several: bool) -> str:
-    """Return the target of corners: the place in the table of joints, after the board if there are several, or that."""
+    """Return the target of a view's corners: the board's place in the row of the table of joints, else its name.
+
+    With several boards, it is ``board/place``.
+    """
     place = joints.cell(row, joints.target)
     if not place:
         return view.board

@@ -63,7 +63,7 @@ class JointTable(Value):
 
     @property
     def kept(self) -> tuple[Column, ...]:
-        """The columns that go into the table of corners unchanged."""
+        """The columns that go into the table of corners unchanged: all except camera, target and picture's name."""
         moved = [column for column in (self.camera, self.target) if column is not None]
         places = {column.index for column in moved}
         return tuple(
@@ -148,7 +148,7 @@ def read_joint_table(
 
 
 def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
-    """Match pictures with rows.
+    """Match pictures with rows of joint values.
 
     A row's name fits a picture of the same name, in upper or lower case, with or without folders and ending; a row's
     number fits a picture whose name has it as its last number.
@@ -158,7 +158,7 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
         images: The pictures.
 
     Returns:
-        The row of each picture.
+        The row of each picture, None if there is none, and its camera; and the rows without a picture.
 
     Raises:
         MeasurementError: Two rows fit a picture, or a row fits two pictures of one camera, or none fits any.
@@ -209,7 +209,10 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
 def _fitting_rows(
     joints: JointTable, image: ImageFile, by_key: Mapping[str, Sequence[int]]
 ) -> list[int]:
-    """Return the rows that a picture may belong to: those with its name, and with its camera, folder and ending."""
+    """Return the rows, from 0, that a picture may belong to: those with its name or number, by `JointTable.key`.
+
+    Of these, those remain that do not name another camera or folder, and if possible those with its ending.
+    """
     if joints.index is None:
         key = _stem(image.path.name)
     else:

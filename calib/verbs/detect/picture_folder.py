@@ -50,7 +50,10 @@ def table_of(
 def _find_corners(
     folder: Path, boards: Sequence[Board], cameras: Sequence[Camera], *, quiet: bool
 ) -> bytes:
-    """Find the corners in the pictures of a folder, and return their table."""
+    """Find the corners in the pictures of a folder, print what was found unless quiet, and return their table as CSV.
+
+    It raises `CalibError` as `table_of` says; without cameras, pictures may have any size.
+    """
     from calib.boards.detection.detect import detect
     from calib.boards.detection.picture import find_images
     from calib.cli.executor import executor_of

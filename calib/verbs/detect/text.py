@@ -72,7 +72,7 @@ def detection_text(detection: Detection, joints: JointTable, matches: Matches) -
     Args:
         detection: The corners, and the pictures that they are in.
         joints: The table of joints.
-        matches: The row of each picture.
+        matches: The row of each picture, and the rows without a picture.
 
     Returns:
         Lines of at most 100 columns, except for long names.
@@ -104,7 +104,7 @@ def summary(detection: Detection) -> str:
 
 
 def not_used(detection: Detection) -> list[tuple[str, str]]:
-    """Return the names of the pictures that are not used, each with the reason."""
+    """Return names of the pictures of which no corner is used, each with the reason in words."""
     return [
         (picture.file.name, reason_text(picture, detection.fewest))
         for picture in detection.pictures
@@ -113,7 +113,7 @@ def not_used(detection: Detection) -> list[tuple[str, str]]:
 
 
 def reason_text(picture: Picture, fewest: int) -> str:
-    """Write why nothing of a picture is used.
+    """Write why nothing of a picture is used: a reason of the picture, else that of each board in it.
 
     Args:
         picture: The picture.
@@ -142,7 +142,7 @@ def findings_text(detection: Detection) -> list[str]:
 
 
 def _boards_text(detection: Detection) -> Iterator[str]:
-    """Write for each board how many corners the pictures show, and how precisely."""
+    """Yield a line for each board: how many of its corners the pictures show, and how precisely [px]."""
     for board in detection.boards:
         views = []
         for picture in detection.used:
@@ -162,14 +162,14 @@ def _boards_text(detection: Detection) -> Iterator[str]:
 
 
 def _first_names(names: Sequence[str]) -> str:
-    """List names; of many the first."""
+    """List names in one text; of many the first, and how many more there are."""
     shown = ", ".join(names[:_MOST_NAMES])
     more = len(names) - _MOST_NAMES
     return f"{shown} and {more} more" if more > 0 else shown
 
 
 def _sentence(finding: Finding, board: Board | None) -> str:
-    """Write the sentence of a finding about a board, or about pictures if there is no board."""
+    """Write the sentence of a finding about a board, or if there is no board (None) about pictures as a whole."""
     template = _FINDINGS[finding.code]
     if board is None:
         return template

@@ -50,7 +50,10 @@ def collision_model(
 def _(
     instrument: CameraInstrument, sensitivity: Sensitivity, check: CollisionCheck
 ) -> CollisionModel:
-    """Return the robot with the camera, the board and the boxes, which are in the frame of the link that stands."""
+    """Return the robot with the camera, the board as a plate, and the cell's boxes.
+
+    The boxes are in the frame of that link of camera and board that the robot does not move.
+    """
     (sightline,) = sensitivity.sightlines
     robot, board = sightline.robot, instrument.board
     width, height = board.size
@@ -82,8 +85,9 @@ def free_lines_of_sight(sensitivity: Sensitivity, body: CollisionModel) -> Itera
     """Yield a condition for each point that must not be hidden: no link and no box is between it and the instrument.
 
     Args:
-        sensitivity: The nominal robot in its cell, with its instrument and targets.
-        body: Tests poses for collisions.
+        sensitivity: The nominal robot in its cell, with its instrument and targets; without the instrument's place no
+            condition is yielded.
+        body: The robot and the boxes, any of which may hide a point.
     """
     instrument = sensitivity.instrument
     for sightline in sensitivity.sightlines:

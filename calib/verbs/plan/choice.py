@@ -72,7 +72,7 @@ class PlanRequest(Value):
     sight: SightLimits = USUAL_LIMITS
 
     def __post_init__(self) -> None:
-        """Refuse values of another type, and numbers that are not finite or negative."""
+        """Refuse values of another type, and numbers that are not finite or are negative: `CalibError`."""
         for name in ("count", "validation"):  # how many is checked in `check`
             check_type(name, getattr(self, name), (int, np.integer), "a whole number")
         whole_or_none = (int, np.integer, type(None))
@@ -87,7 +87,7 @@ class PlanRequest(Value):
             finite_numbers("start", start.ravel(), (None,), "finite joint values")
 
     def check(self, candidates: int) -> None:
-        """Refuse an unknown criterion, and numbers of poses that so many candidates cannot give: `ModelError`."""
+        """Raise `ModelError` for an unknown criterion, no pose, or more poses than candidates or `MOST_POSES`."""
         if self.criterion not in ("V", "D", "A"):
             raise ModelError(f"There is no criterion '{self.criterion}'. Choose V, D or A.")
         total = self.count + self.validation
@@ -214,7 +214,7 @@ def choose_poses(
 
 
 def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> Array | None:
-    """Return the matrix T (p, p) of a criterion tr(T C); None for ``D``, the determinant.
+    """Return the matrix T (p, p) of a criterion tr(T C), C the covariance; None for ``D``, the determinant of C^-1.
 
     ``A``: 1 / step^2 on the diagonal, with the steps of the parameters' units, such as 1 mm. ``V``: the mean of J^T J
     over the positions of all targets and poses, J (3, p) their derivative.

@@ -89,7 +89,7 @@ class _Scene(NamedTuple):
 
     @classmethod
     def of(cls, urdf: Urdf, solids: Iterable[Solid]) -> _Scene:
-        """Build the scene of a whole robot and solids fixed to its links, without pairs to compare."""
+        """Build the scene of a whole robot and solids fixed to its links, in their order, without pairs to compare."""
         model = full_model(urdf)
         shapes = pin.GeometryModel()
         for number, solid in enumerate(solids):
@@ -110,8 +110,8 @@ class _Scene(NamedTuple):
             shapes.addCollisionPair(pin.CollisionPair(first, second))
         return _Scene(self.model, shapes, margins)
 
-    def workspace(self) -> tuple[pin.Data, pin.GeometryData]:
-        """Return memory for Pinocchio's results, with the margins set in it; each caller needs its own."""
+    def new_data(self) -> tuple[pin.Data, pin.GeometryData]:
+        """Return new data for Pinocchio's results, of the model and of the shapes, with the margin of each pair set."""
         geometry_data = self.shapes.createData()
         for request, margin in zip(geometry_data.collisionRequests, self.margins, strict=True):
             request.security_margin = margin
@@ -122,8 +122,8 @@ class _Scene(NamedTuple):
         return self.model.createData(), geometry_data
 
     def touches(self, configurations: Array) -> Iterator[bool]:
-        """Yield for each of Pinocchio's configurations (N, nq) whether any pair is closer than its margin."""
-        data, geometry_data = self.workspace()
+        """Yield, for each configuration (N, nq) of the whole robot, whether any pair is closer than its margin."""
+        data, geometry_data = self.new_data()
         for configuration in configurations:
             is_touching = pin.computeCollisions(
                 self.model, data, self.shapes, geometry_data, configuration, True
@@ -131,8 +131,11 @@ class _Scene(NamedTuple):
             yield bool(is_touching)
 
     def touched(self, configurations: Array) -> Mask:
-        """Return which of P pairs are closer than their margins at Pinocchio's configurations (N, nq), (N, P)."""
-        data, geometry_data = self.workspace()
+        """Return which of the scene's P pairs are closer than their margins, (N, P), in the scene's order.
+
+        Configurations (N, nq) are of the whole robot, as Pinocchio has them.
+        """
+        data, geometry_data = self.new_data()
         touched = []
         for configuration in configurations:
             pin.computeCollisions(
@@ -173,7 +176,7 @@ class CollisionModel:
 
         Args:
             robot: The robot; all links of its URDF are checked, not just those of the chain.
-            boxes: Obstacles.
+            boxes: Obstacles, which are fixed to the robot's base.
             targets: Positions of targets in the tip by name, shape (3,), [m]: a rod from the tip's origin to each
                 stands for the target and what holds it; None: none.
             check: Extent and clearance of the check; None: the defaults of `CollisionCheck`.
@@ -303,7 +306,7 @@ class CollisionModel:
         has_beam = distance > NEST + BEAM + ahead
 
         scene = self._beams
-        data, geometry_data = scene.workspace()
+        data, geometry_data = scene.new_data()
         base = scene.model.frames[link_frame(scene.model, self.robot.base)]
         last = scene.shapes.ngeoms - 1
         beam = scene.shapes.geometryObjects[last].geometry
@@ -327,9 +330,11 @@ class CollisionModel:
 def _pairs_by_owners(
     urdf: Urdf, solids: Sequence[Solid], rigid: Mapping[str, str]
 ) -> dict[tuple[str, str], list[Pair]]:
-    """Return pairs of solids whose links move against each other and are not connected by one joint, by their owners.
+    """Return the pairs of solids to check, as indices in their order, by the names of their two owners.
 
-    Links that a moving joint connects, with all that fixed joints hold to them, always touch near the joint.
+    Left out are solids whose links never move against each other, which have the same link in ``rigid``, see
+    `clusters`; boxes and the mounting plane among themselves; and the shapes of links that one moving joint connects,
+    with all that fixed joints hold to them, because these always touch near the joint.
     """
     fixed = [joint for joint in urdf.joints if joint.type == "fixed"]
     welded = clusters(urdf, fixed)
@@ -355,10 +360,11 @@ def _choose_margin(
     *,
     is_box: bool,
 ) -> tuple[float | None, Integers]:
-    """Choose the least distance [m] of the pairs of two owners, and count at how many sampled poses each is closer.
+    """Choose the least distance [m] of the P pairs of two owners, and count at how many sampled poses each is closer.
 
-    It is the clearance. Owners that are always closer are checked for touching alone, and those that always touch are
-    not checked (None), unless the second is a box, which must not be touched in any case.
+    The counts are (P,); ``touched`` returns which pairs are closer than a distance [m] at the sampled poses. The least
+    distance is the clearance [m]. Owners that are always closer are checked for touching alone, and those that always
+    touch are not checked (None), unless the second is a box, which must not be touched in any case.
     """
     touching = touched(pairs, 0.0)
     if _is_always(touching) and not is_box:

@@ -76,7 +76,10 @@ class PoseOptions:
     ] = None
 
     def request(self, arm: Robot, sight: SightLimits) -> PlanRequest:
-        """Return the request for the poses that are wanted; raises `CalibError` for a text that an option refuses."""
+        """Return the request for the poses that are wanted; joints that ``--start`` does not name start at 0.
+
+        It raises `CalibError` for a text that an option refuses.
+        """
         from calib.basics.units import ANGLE, parse_amount, parse_joint_values
         from calib.verbs.compensate.inverse import start_values
         from calib.verbs.plan.choice import PlanRequest
@@ -141,7 +144,10 @@ class ImageOptions:
     ] = 1.0
 
     def in_cell(self, cell: Cell) -> Cell:
-        """Return a cell with its camera and board at the places that were given; it is unchanged without a camera."""
+        """Return a cell with its camera and board where the options say; raises `CalibError` for another text.
+
+        A place that is not given stays as the cell has it, and a cell without a camera as it is.
+        """
         from calib.basics.arrays import rigid_inverse
 
         if cell.cameras and self.camera_at is not None:
@@ -153,7 +159,10 @@ class ImageOptions:
         return cell
 
     def limits(self) -> SightLimits:
-        """Return where the board may be in the camera; raises `CalibError` for a text that an option refuses."""
+        """Return at which distances [m] and tilts [rad], and where in the image, the board may be seen.
+
+        Without distances they follow from the board's size in the image. A text that is refused raises `CalibError`.
+        """
         from calib.basics.units import ANGLE, LENGTH, parse_amount, parse_quantities
         from calib.instruments.camera import SightLimits
 
@@ -191,7 +200,7 @@ class SceneOptions:
     ] = None
 
     def check(self) -> CollisionCheck | None:
-        """Return what is checked for collisions; None: nothing."""
+        """Return how collisions are checked, None if they are not; raises `CalibError` for another ``--clearance``."""
         from calib.basics.units import LENGTH, parse_amount
         from calib.verbs.plan.collision import CollisionCheck
 
@@ -233,7 +242,7 @@ def plan(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Load robot and cell, plan the poses, write table, JSON and page, and print the plan."""
+    """Load robot and cell, whose boxes are the obstacles, plan the poses, write the files named, and print the plan."""
     from calib.basics.tables import Table
     from calib.data.columns import column_names
     from calib.result.calibration_file import write_table
@@ -291,7 +300,7 @@ def pose_of(text: str, option: str) -> Array:
         option: The option that it was given with, for messages.
 
     Returns:
-        Shape (4, 4), [m].
+        The pose, shape (4, 4), [m]; without a rotation its axes are those of the frame that it is in.
 
     Raises:
         CalibError: It is another text.

@@ -58,7 +58,7 @@ class Workspace(NamedTuple):
         Args:
             sensitivity: The nominal robot in its cell under the error model of the fit.
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
-            measurable: As many poses at which something is measured, shape (n, m), for an instrument that sees only a
+            measurable: n poses at which something is measured, shape (n, m), for an instrument that sees only a
                 part of the workspace; None: those of ``q``.
         """
         if measurable is None:
@@ -155,7 +155,7 @@ def _chi_squares(count: int) -> Array:
 
 
 def _range_of_rms(squares: Array) -> tuple[float, float]:
-    """Return between which rms errors over the workspace [m] 90 % of calibrations lie, by random draws.
+    """Return the two rms errors over the workspace [m] between which 90 % of calibrations lie, by random draws.
 
     With C = root root^T and the mean B of J^T J over the positions, the squared rms is x^T S x with x ~ N(0, I) and
     S = root^T B root, ``squares`` (p, p) [m^2]: a sum of chi-squares weighted by the eigenvalues of S.

@@ -175,7 +175,9 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
 
 
 def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int) -> int:
-    """Find the candidate outside a design that improves it most; first guesses save time and change nothing.
+    """Return the index of the candidate outside a design that improves it most when it is added.
+
+    The design are indices of candidates, and so are ``likely`` ones, guesses that save time and change nothing.
 
     `_gains` are computed only for candidates whose upper bound reaches the gain of a good one.
     """
@@ -231,9 +233,9 @@ def short_list(rank: Array, count: int) -> Indices:
 
 
 def _gain_bounds(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
-    """Bound from above what adding each candidate gains (n,), at a fifth of the cost of `_gains`.
+    """Bound from above what adding each of n candidates gains, (n,), as `_gains` computes it at five times the cost.
 
-    det(I + G) <= (1 + tr G / d)^d,    tr((I + G)^-1 E) <= tr E
+    det(I + G) <= (1 + tr G / d)^d without a target,    tr((I + G)^-1 E) <= tr E with one
     """
     n, d, r = blocks.shape
     K = C if target is None else C @ target @ C
@@ -251,10 +253,10 @@ def _gain_bounds(blocks: Array, C: NDArray[np.floating[Any]], target: Array | No
 
 
 def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
-    """Compute what adding each candidate to a design of covariance C (r, r) gains: det(I + G), or the fall of tr(T C).
+    """Compute what adding each of n candidates to a design of covariance C (r, r) gains, (n,).
 
-    G = A C A^T and E = A C T C A^T of a candidate's derivative A in ``blocks`` (n, d, r), and tr(T C) falls by
-    tr((I + G)^-1 E).
+    It is det(I + G) without a target (None), else what tr(T C) falls by with the target T (r, r), tr((I + G)^-1 E):
+    G = A C A^T and E = A C T C A^T, A being a candidate's derivative in ``blocks`` (n, d, r).
     """
     n, d, r = blocks.shape
     both = C if target is None else np.hstack([C, C @ target @ C])
@@ -269,7 +271,10 @@ def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) ->
 
 
 def _cost(M: Array, basis: Basis) -> float:
-    """Return the criterion of a design with the information M (r, r), less for a better one: -log det M or tr(T C)."""
+    """Return the criterion of a design with the information M (r, r), less for a better one.
+
+    It is -log det M if the basis has no target, else tr(T C) with C = M^-1.
+    """
     if basis.target is None:
         return -float(np.linalg.slogdet(M)[1])
     return float(np.trace(np.linalg.solve(M, basis.target)))

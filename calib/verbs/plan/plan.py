@@ -114,7 +114,7 @@ class Plan(Value):
 
     @property
     def sightline(self) -> Sightline:
-        """The instrument and its first target, with the chain between them, if it is known where it stands."""
+        """The instrument and its first target, with the chain between them; the instrument's place must be known."""
         T_instrument_base = self.instrument.T_instrument_base
         assert T_instrument_base is not None
         return Sightline(self.robot, T_instrument_base, self.T_tip_target[0])
@@ -265,7 +265,11 @@ def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] 
 def _conditions(
     sensitivity: Sensitivity, region: Region | None, body: CollisionModel | None
 ) -> Iterator[Condition]:
-    """Yield the conditions of a candidate, the cheap ones first: region, instrument, lines of sight, collisions."""
+    """Yield the conditions of a candidate, the cheap ones first: region, instrument, lines of sight, collisions.
+
+    Without a region or a body (None) its conditions are left out. A region with an instrument that cannot have one
+    raises `CalibError`.
+    """
     if region is not None:
         refuse_region(sensitivity.instrument)
         robot, T_tip_target = sensitivity.kinematics.robot, sensitivity.setup.T_tip_target[0]
@@ -280,7 +284,10 @@ def _conditions(
 
 
 def _scale_notes(sensitivity: Sensitivity, pool: Pool, q: Array, rms: float) -> list[Note]:
-    """Return the remark that the scale of a print makes most of the error of poses (n, m), ``rms`` [m], if it does."""
+    """Return the remark that the unknown scale of a print makes most of the forecast error, if it does, else nothing.
+
+    The fit is of poses (n, m), whose forecast error is ``rms`` [m]; it is compared with that of an exact scale.
+    """
     is_scale = np.array([name.startswith("board_scale") for name in sensitivity.names])
     if not is_scale.any():
         return []

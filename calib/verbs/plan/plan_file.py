@@ -91,7 +91,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     Args:
         instrument: The instrument, which determines the columns.
         plan: The plan.
-        number: Number of the first row; a point is named after its row, ``"P1"``.
+        number: Number of the first row or image; a point is named after its row, ``"P1"``.
     """
     kind = instrument.kind
     lengths: list[tuple[str, Quantity]] = []
@@ -122,7 +122,10 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
 
 @plan_rows.register
 def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
-    """Yield the cells of each image; without row numbers, because a table of corners has many rows of an image."""
+    """Yield the cells of each image by the headers of their columns, the images numbered from ``number`` on.
+
+    There are no row numbers, because a table of corners has many rows of an image.
+    """
     distances, tilts = distances_and_tilts(instrument, plan)
     # Columns run from the foot of the robot to its hand, even if the chain leads the other way.
     backwards = plan.robot.base_moves
@@ -158,7 +161,10 @@ def _cell(quantity: Quantity, value: float) -> str:
 
 
 def _joint_cells(robot: Robot, q: Array) -> dict[str, str]:
-    """Return the texts of joint values (m,) [rad] or [m], by the headers of their columns, as ``robot.joint_names``."""
+    """Return the texts in deg or mm of joint values (m,) [rad] or [m], by the headers of their columns.
+
+    Values and columns are in the order of ``robot.joint_names``.
+    """
     cells = {}
     for (name, joint_type), value in zip(robot.joint_types.items(), q, strict=True):
         quantity: Quantity = "length" if joint_type == "prismatic" else "angle"
@@ -252,7 +258,7 @@ def _(_instrument: CameraInstrument, poses: Poses) -> int:
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
-    """Return a plan as nested tables for a JSON file, in SI units; docs/planning.md describes the keys."""
+    """Return a plan with its forecasts as nested tables for a JSON file, in SI units; see docs/planning.md."""
     robot, request = plan.robot, plan.request
     joints = []
     for name, joint_type in robot.joint_types.items():

@@ -46,11 +46,11 @@ _CAMERA = 0.05
 
 
 def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
-    """Make the page of a plan: the robot at each pose, in the order to drive, with its numbers.
+    """Make the page of a plan in 3D: the robot at each pose, in the order to drive, with targets, boxes and numbers.
 
     Args:
         plan: The plan.
-        first_row: Number of the first row of its table, see `calib.verbs.plan.plan_file.write_plan`.
+        first_row: Number of the first row or image of its table, see `calib.verbs.plan.plan_file.write_plan`.
     """
     moving = on_foot(plan.instrument, plan)
     count, forecast = len(plan.joints), plan.forecast
@@ -129,7 +129,7 @@ def on_foot(_instrument: Instrument, plan: Plan) -> Plan:
 
 @on_foot.register
 def _(instrument: CameraInstrument, plan: Plan) -> Plan:
-    """Return the plan of a camera from the foot to the hand."""
+    """Return the plan of a camera from the foot to the hand, with a box where the camera or the board stands."""
     sightline, robot = plan.sightline, plan.robot
     T_base_camera = rigid_inverse(sightline.T_instrument_base)
     T_tip_middle = sightline.T_tip_target.copy()
@@ -155,7 +155,7 @@ def _(instrument: CameraInstrument, plan: Plan) -> Plan:
 
 @singledispatch
 def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the names of the points at each pose, and where its targets are expected, as texts."""
+    """Return texts for each pose, by their labels: the names of its points, and where its targets are expected [mm]."""
     numbers: dict[str, tuple[str, ...]] = {}
     count = len(plan.targets)
     points = first_row + np.arange(len(plan.joints) * count).reshape(-1, count)
@@ -169,7 +169,7 @@ def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, t
 
 @_numbers.register
 def _(instrument: CameraInstrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
-    """Return the name of each image, and where the board is in it, as texts."""
+    """Return texts for each pose, by their labels: the name of the image, and distance and tilt of the board."""
     distances, tilts = distances_and_tilts(instrument, plan)
     return {
         "image": tuple(image_name(first_row + k) for k in range(len(plan.joints))),

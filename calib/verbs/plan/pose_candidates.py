@@ -171,7 +171,10 @@ def _collect(
     count: int,
     progress: Progress | None,
 ) -> Pool:
-    """Sift batches of poses (any number, m) until enough have passed all conditions, or too many are drawn."""
+    """Sift batches of poses (any number, m) until ``count`` have passed all conditions, or too many are drawn.
+
+    It raises `ModelError` if none has passed.
+    """
     refused: dict[str, int] = dict.fromkeys((condition.reason for condition in conditions), 0)
     first = next(batches)
     measurable, in_region, drawn = first[:0], first[:0], 0
@@ -209,7 +212,10 @@ def _collect(
 
 
 def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
-    """Yield batches of readings (n, m) at joint values from a scrambled Sobol sequence over ranges (m, 2)."""
+    """Yield batches, without end, of readings (n, m), [rad] or [m], from a Sobol sequence over ranges (m, 2).
+
+    The ranges are of the joint values; readings are rounded as a table writes them.
+    """
     # Imported late: SciPy's distributions take as long as the rest of calib.
     from scipy.stats import qmc
 
@@ -233,7 +239,7 @@ def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
 def _batches_near_viewpoints(
     instrument: Instrument, sightline: Sightline, ranges: Array, seed: int
 ) -> Iterator[Array]:
-    """Yield batches of readings (n, m) [rad] or [m] that bring the robot near viewpoints of a Sobol sequence.
+    """Yield batches, without end, of readings (n, m), [rad] or [m], near viewpoints of a Sobol sequence.
 
     Ranges are (m, 2); the readings that inverse kinematics finds may be beyond them.
     """
@@ -278,7 +284,7 @@ def reach(robot: Robot, ranges: Array, T_base_tip: Array, start: Array) -> Array
 
 
 def _coordinates(T: Array) -> Array:
-    """Return poses (n, 4, 4) as coordinates (n, 12) [m], so that distances weigh translations and rotations."""
+    """Return poses (n, 4, 4) as coordinates (n, 12) [m], with rotations as lengths, so that they have distances."""
     # A small rotation by an angle a changes the nine entries of the matrix by a sqrt(2) in all.
     turns = T[:, :3, :3].reshape(-1, 9) * (_RADIAN / np.sqrt(2.0))
     return np.concatenate([T[:, :3, 3], turns], axis=1)

@@ -104,7 +104,10 @@ def find_route(
 
 
 def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:
-    """Find a short open path through poses (N, m) as they are, with few blocked moves; see `find_route`."""
+    """Find a short open path through poses (N, m) as they are, with few blocked moves; for the rest see `find_route`.
+
+    A move is as long as the largest change of a joint in it [rad] or [m].
+    """
     # Imported late, because it takes long.
     from scipy.spatial.distance import cdist
 
@@ -134,9 +137,10 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
 
 
 def _shortest_path(costs: Array) -> Integers:
-    """Return the shortest of several paths through n poses by the costs (n + 2, n + 2) of their moves, with both ends.
+    """Return the shortest of several paths, as n + 2 indices, by the costs (n + 2, n + 2) of the moves between nodes.
 
-    Each path begins at another pose, goes to the nearest pose that is left, and is improved.
+    The nodes are n poses, then the start, whose moves cost nothing if any pose may be the first, then the end. Each
+    path begins at another pose, goes to the nearest pose that is left, and is improved.
     """
     count = len(costs) - 2
     firsts = np.unique(np.linspace(0, count - 1, _BEGINNINGS).astype(int)).tolist() if count else []
@@ -157,6 +161,7 @@ def _shortest_path(costs: Array) -> Integers:
 def _improve(path: Integers, costs: Array) -> Integers:
     """Improve a path by reversing the piece whose reversal shortens it most, until none does; its ends stay.
 
+    The path has the indices of the n nodes in their order, and costs are those of the moves between nodes, (n, n).
     Reversing the places i to j replaces the steps (i - 1, i) and (j, j + 1) by (i - 1, j) and (i, j + 1).
     """
     least_gain = _ROUNDING * float(costs.max())
@@ -212,7 +217,10 @@ def _turn(robot: Robot, q: Array, limits: Array, route: Route, free_path: FreePa
 
 
 def _turning_joints(robot: Robot, limits: Array) -> Mask:
-    """Return which joints (m,) turn within limits (m, 2) [rad] of more than one turn, and move no other joint."""
+    """Return which joints (m,) turn within limits (m, 2) [rad] of more than one turn, and do so alone.
+
+    Joints that others follow, or whose readings are coupled, are not among them.
+    """
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     is_alone = np.sum(robot.mimic_matrix != 0.0, axis=0) <= 1
     has_factors = robot.reading_matrix != np.eye(len(slides))
@@ -221,7 +229,10 @@ def _turning_joints(robot: Robot, limits: Array) -> Mask:
 
 
 def _detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
-    """Return the pose (m,) of several (n, m) by which the way between two others is free and shortest, if any."""
+    """Return the pose (m,), of several (n, m), by which the way between two others is free and shortest.
+
+    None if no way by one of those with the shortest ways is free.
+    """
     to_pose = np.max(np.abs(poses - start), axis=1)
     from_pose = np.max(np.abs(poses - end), axis=1)
     for k in np.argsort(to_pose + from_pose, kind="stable")[:_STOPS]:

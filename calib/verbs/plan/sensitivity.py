@@ -45,7 +45,7 @@ def instrument_of(cell: Cell, limits: SightLimits = USUAL_LIMITS) -> Instrument:
 
     Args:
         cell: Camera and board, or tracker and reflector; kind of measurement, noise.
-        limits: Distances and tilts at which a board may be seen.
+        limits: Distances and tilts at which a camera may see the board.
 
     Raises:
         CalibError: No instrument that poses can be planned for.
@@ -150,7 +150,10 @@ class Sensitivity:
         return transform(T, self.instrument.points[:1]).reshape(len(q), -1, 3)
 
     def _samples(self, q: Array) -> Samples:
-        """Return N k samples, every target at the first pose, then at the second, ..., with loads if any counts."""
+        """Return N k samples at N poses (N, m): all k targets at the first pose, then at the second, ...
+
+        They have loads if an error of the model depends on these.
+        """
         targets = len(self.setup.targets)
         load = None
         factors = [parameter.factor for parameter in self.kinematics.model.parameters]
@@ -210,7 +213,7 @@ class Sensitivity:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
-            Shape (n,), [m], or [px] of images.
+            Shape (n,), in the unit of the scalars, [m] or for images [px].
         """
         if not self.instrument.kind.position:
             distance = np.linalg.norm(self.expected(q)[:, 0], axis=1)
@@ -235,7 +238,8 @@ class Sensitivity:
     def analysed(self, q: Array, measured: Array) -> Observability:
         """Analyse which of the p parameters some poses determine.
 
-        The derivative is scaled back from standard deviations to metres, as a fit does.
+        The derivative is scaled back from standard deviations to the unit of the noise, [m] or for images [px], as a
+        fit does.
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.

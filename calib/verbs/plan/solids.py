@@ -153,7 +153,8 @@ def _geometry(
 ) -> Any:  # noqa: ANN401  coal has no types
     """Return a link's shape as coal has it; None for a kind that coal does not have, or sizes that are not positive.
 
-    Meshes are kept by file name and scale; one that is missing or cannot be read raises `UrdfError`.
+    Meshes that are read are added to ``meshes``, by file name and scale, and are taken from there. One that is in no
+    folder, or cannot be read, raises `UrdfError`.
     """
     if shape.mesh is None:
         tag = shape.geometry.tag.capitalize()
@@ -233,7 +234,7 @@ def mounting_plane(
 
 
 def _lowest(geometry: Any, T_base_shape: pin.SE3) -> float:  # noqa: ANN401  coal has no types
-    """Return the least z of a shape of coal in the base [m]."""
+    """Return the least z [m], in the base, of a shape of coal with a pose in the base."""
     rotation, translation = T_base_shape.rotation, T_base_shape.translation
     if isinstance(geometry, hppfcl.BVHModelBase):
         return float(np.min(geometry.vertices() @ rotation[2] + translation[2]))

@@ -72,7 +72,7 @@ _PLAN_LABEL = 15
 
 
 def plan_text(plan: Plan) -> str:
-    """Write a plan: its head, the forecasts, notes, and the moves that are blocked."""
+    """Write a plan in paragraphs: its head, the forecasts, and notes, the last ones on moves that are blocked."""
     notes = [note_text(note) for note in plan.notes]
     # Moves by their rows, each with a pose to move through if one was found.
     targets = len(plan.targets)  # each pose has a row for each of them
@@ -97,7 +97,7 @@ def plan_text(plan: Plan) -> str:
 
 
 def note_text(note: Note) -> str:
-    """Word a note of a plan."""
+    """Word a note of a plan, by its code and its values in SI units, as a sentence with lengths in mm."""
     if note.code == "board_scale":
         scale, rms = map(float, note.values)
         return _NOTES[note.code].format(f"{100 * scale:.2g}", _mm(rms))
@@ -116,7 +116,7 @@ def _and_with(obstacles: Sequence[str | float]) -> str:
 
 
 def _mm(value: float) -> str:
-    """Format a length [m] in mm with four significant digits."""
+    """Format a length [m] in mm, with four significant digits and at most four decimals."""
     size = abs(1e3 * value)
     digits = 4
     for limit, fewer in ((1, 3), (10, 2), (100, 1)):
@@ -126,7 +126,7 @@ def _mm(value: float) -> str:
 
 
 def _head(plan: Plan) -> Iterator[str]:
-    """Write the robot, the numbers of poses and candidates, and the model."""
+    """Yield the paragraphs of a plan's head: robot, numbers of poses and candidates, criterion, model, coupling."""
     forecast = plan.forecast
     auto = ", for 'auto'" if plan.cell.model != plan.model else ""
     indices = ", ".join(f"{name} {value:.3g}" for name, value in forecast.indices.items())
@@ -174,13 +174,13 @@ def _(_instrument: CameraInstrument, plan: Plan) -> str:
 
 @singledispatch
 def _facts(_instrument: Instrument, _plan: Plan) -> Iterator[tuple[str, str]]:
-    """Word what the poses cover as the instrument sees it, each fact with its label."""
+    """Yield label and text of what the poses cover as the instrument sees it; nothing unless it is a camera."""
     yield from ()
 
 
 @_facts.register
 def _(instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
-    """Word distances and tilts of the board, and how much of the image its corners cover."""
+    """Yield label and text of the board's distances and tilts, and how much of the image its corners cover."""
     distances, tilts = distances_and_tilts(instrument, plan)
     least, most, half = np.degrees([tilts.min(), tilts.max(), np.median(tilts)])
     covered = instrument.coverage(plan.sightline.target_poses(plan.joints))
@@ -190,7 +190,7 @@ def _(instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:
-    """Write the table of expected errors: of the plan, of random poses, of those taken, of other numbers of poses."""
+    """Yield lines on the expected errors: of the plan, of random poses, of those taken, of other numbers of poses."""
     forecast, count, taken = plan.forecast, len(plan.estimation), len(plan.taken)
     planned, random, beside = f"these {count} poses", f"{count} random ones", ""
     if taken:
@@ -225,7 +225,7 @@ def _forecasts(plan: Plan) -> Iterator[str]:
 
 
 def noise_text(sigma: Mapping[str, float]) -> str:
-    """Word the noise of a forecast, the standard deviation of one scalar by its unit, without a full stop."""
+    """Word the noise of a forecast, without a full stop: standard deviations of one scalar, given by their SI units."""
     parts = []
     for symbol, std in sigma.items():
         unit = RESIDUAL_UNITS[symbol]
@@ -237,7 +237,7 @@ def noise_text(sigma: Mapping[str, float]) -> str:
 
 
 def plan_html(p: Plan) -> str:
-    """Write a plan: numbers of poses, expected error of these and of random poses."""
+    """Write a plan for a notebook, as HTML: numbers of poses, expected errors of these and of random ones."""
     count = len(p.estimation)
     rows = [
         ("poses", f"{count}, and {len(p.joints) - count} for validation"),

@@ -85,7 +85,10 @@ def simulate(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Read robot and scenario, simulate, write pictures, table, truth and URDF, and print what was simulated."""
+    """Read robot and scenario, simulate, write pictures, table, truth and URDF, and print what was simulated.
+
+    It raises `CalibError` if neither a table nor a folder of pictures is named, or a file may not be written.
+    """
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.picture_files import write_pictures
     from calib.verbs.simulate.scenario import simulate as simulate_rows

@@ -31,7 +31,7 @@ class Outliers:
 
         Args:
             text: As typed.
-            size: Displacement [m].
+            size: Displacement of each outlier [m].
 
         Raises:
             CalibError: It is another text.
@@ -47,10 +47,17 @@ class Outliers:
         return cls(count=int(number[1]), size=size)
 
     def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
-        """Choose outliers among the numbers of rows, in order; with more outliers, the same ones and others.
+        """Choose which rows become outliers; if more are asked for, they are the same ones and others.
+
+        Args:
+            candidates: Indices of the rows to choose from.
+            seed: Of the random numbers.
+
+        Returns:
+            Chosen ones of ``candidates``, in ascending order; for a share above 0 at least one, if there is any.
 
         Raises:
-            CalibError: There are fewer rows than outliers.
+            CalibError: There are fewer candidates than outliers.
         """
         rows = len(candidates)
         number = self.count
@@ -80,7 +87,7 @@ class MovedTarget(Value):
         object.__setattr__(self, "by", read_only(self.by))
 
     def rows(self, targets: Sequence[str]) -> Mask:
-        """Return which rows find the target moved, shape (R,).
+        """Return which of R rows find their target moved, shape (R,): those of a target that moves, from `row` on.
 
         Args:
             targets: Name of the target of each row, (R,).
@@ -109,15 +116,17 @@ class Encoder:
     length: float = 0.0
 
     def measure(self, q: Array, sliding: Sequence[bool], seed: int) -> tuple[Array, Array]:
-        """Draw where the robot stops if it is sent to joint values, and what is read there.
+        """Draw where the robot stops if it is sent to joint values, up to half a step beside, and what is read there.
+
+        A joint without an encoder step stops exactly, and is read exactly.
 
         Args:
-            q: shape (N, m), [rad] or [m].
+            q: Joint values that the robot is sent to, shape (N, m), [rad] or [m].
             sliding: True for joints that slide, (m,).
             seed: Of the random numbers.
 
         Returns:
-            True joint values and those read, shape (N, m) each, [rad] or [m].
+            True joint values, and those read, which are whole steps; shape (N, m) each, [rad] or [m].
         """
         step = np.where(sliding, self.length, self.angle)
         true = q + stream(seed, "encoder").uniform(-0.5, 0.5, q.shape) * step

@@ -66,6 +66,9 @@ def draw_equipment(robot: Robot, cell: Cell, seed: int) -> Equipment:
         cell: Has at most one of each.
         seed: Of the random numbers.
 
+    Returns:
+        The stated camera, the true one, and the board as it is printed.
+
     Raises:
         CalibError: The cell has several cameras or boards.
     """
@@ -76,7 +79,7 @@ def draw_equipment(robot: Robot, cell: Cell, seed: int) -> Equipment:
 
 
 def _only(described: Mapping[str, Described], what: str) -> Described | None:
-    """Return the one camera or board that is described; None without one, `CalibError` for several."""
+    """Return the one camera or board of those described, by name; None if there is none, `CalibError` for several."""
     if len(described) > 1:
         raise CalibError(
             f"The cell has the {what} {choices(described)}; pictures are simulated with one of each."
@@ -90,7 +93,7 @@ def usual_camera() -> Camera:
 
 
 def usual_board(arm: Robot) -> Board:
-    """Return the usual board: a ChArUco board of 7 by 5 squares, whose size suits the arm's reach.
+    """Return the usual ChArUco board of 7 by 5 squares, in proportion to the reach of the arm, within limits.
 
     Args:
         arm: The chain from the foot to the flange, or the other way.
@@ -116,8 +119,8 @@ def draw_camera(stated: Camera, rng: np.random.Generator) -> Camera:
         rng: Random numbers.
 
     Returns:
-        The same camera with its true numbers, which are exact. A lens that folds the image, which no real lens does, is
-        drawn again.
+        The same camera with its true numbers, whose standard deviations are 0. A lens that folds the image, which no
+        real lens does, is drawn again, a limited number of times.
     """
     for _ in range(_DRAWS):
         unit_normal = rng.standard_normal(len(LENSES[stated.lens].names))
@@ -159,9 +162,10 @@ def folds(camera: Camera) -> bool:
 
 
 def _usual_sigma(camera: Camera, values: Array) -> Array:
-    """Return the standard deviations of a maker's numbers (m,), for a fisheye lens smaller ones of higher powers.
+    """Return the standard deviations that a maker's numbers of a lens usually have, (k,), in the units of the numbers.
 
-    Otherwise they would bend the edge of the image, 1 rad and more from the axis, more than real lenses do.
+    For a fisheye lens those of higher powers are smaller. Otherwise they would bend the edge of the image, 1 rad and
+    more from the axis, more than real lenses do.
     """
     sigma = LENSES[camera.lens].default_sigma(values, camera.width)
     if camera.lens == "fisheye":

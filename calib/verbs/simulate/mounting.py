@@ -85,6 +85,9 @@ def draw_scene(
         T_tip_board: Pose of the board in its link, shape (4, 4) [m]; None: drawn.
         framing: Conditions under which a picture shows the board well.
 
+    Returns:
+        Robot, camera and board with the places that give the most and the most varied views, of several drawn.
+
     Raises:
         CalibError: Both links move and the camera's mount is not given, or the board is never seen.
     """
@@ -142,10 +145,10 @@ def moving_sides(robot: Robot) -> tuple[bool, bool]:
 
 
 def outward(arm: Robot) -> Array:
-    """Return the direction in which the flange at the tip of an arm points, in its frame, shape (3,).
+    """Return the unit vector in which the flange at the tip of an arm points, in the frame of the tip, shape (3,).
 
     That is along the axis of the last joint, on the side away from the joint before it; or if that axis lies across,
-    the direction from that joint to the flange.
+    the direction from that joint to the flange. For an arm with one joint or none it is the z axis of the tip.
     """
     if len(arm.joints) < 2:
         return np.array([0.0, 0.0, 1.0])
@@ -169,7 +172,10 @@ def reach(arm: Robot) -> float:
 
 
 def frame_along(z: Array, roll: float) -> Array:
-    """Return a rotation whose z axis has a direction (3,), turned about it by an angle [rad], shape (3, 3)."""
+    """Return a rotation whose z axis is a unit vector (3,), turned about it by an angle [rad], shape (3, 3).
+
+    Where x is at an angle of 0 is arbitrary.
+    """
     other = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = np.cross(other, z)
     x /= np.linalg.norm(x)
@@ -178,14 +184,14 @@ def frame_along(z: Array, roll: float) -> Array:
 
 
 def camera_on_flange(arm: Robot, rng: np.random.Generator) -> Array:
-    """Draw a camera beside the flange that looks outward; returns T_flange_camera, shape (4, 4) [m]."""
+    """Draw a camera beside the flange, the tip of an arm, that looks outward; returns T_flange_camera, (4, 4) [m]."""
     flange = frame_along(outward(arm), rng.uniform(0.0, 2.0 * np.pi))
     place = [rng.uniform(*_BESIDE_FLANGE), 0.0, rng.uniform(*_ALONG_FLANGE)]
     return pose_of(flange @ place, flange @ _draw_turn(rng))
 
 
 def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
-    """Draw a board before the flange that faces outward.
+    """Draw a board in front of the flange, whose printed side faces outward.
 
     Args:
         arm: The chain that ends at the flange.
@@ -204,7 +210,7 @@ def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Arra
 
 
 def board_in_workspace(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:
-    """Draw a board on the table or on a wall, about as far as the arm reaches.
+    """Draw a board that lies on the table or hangs on a wall, about as far as the arm reaches; z of the base is up.
 
     Args:
         arm: The chain from the link that does not move to the flange.

@@ -48,10 +48,10 @@ def write_pictures(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Path, ...]:
-    """Draw the pictures of a simulation, and write them with the files beside them.
+    """Draw the pictures of a simulation, and write them as PNG with the joints' table, the board and the camera.
 
     Args:
-        simulated: Measurements by a camera.
+        simulated: Measurements by a camera, with their pictures.
         folder: Made if it does not exist.
         quality: Blur, noise and light.
         overwrite: Whether existing files are replaced.

@@ -37,7 +37,10 @@ STREAMS = (
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
-    """Return the random numbers of a purpose, one of `STREAMS`; raises `CalibError` for a negative seed."""
+    """Return a new generator of the random numbers of a purpose, one of `STREAMS`, the same for the same seed.
+
+    A seed that is not a whole number, or is negative, raises `CalibError`.
+    """
     check_type("seed", seed, (int, np.integer), "a whole number, 0 or more")
     if seed < 0:
         raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")

@@ -106,7 +106,10 @@ class Scenario(Value):
     visits: int = 1
 
     def __post_init__(self) -> None:
-        """Read robot and cell if paths were given, check types and ranges of the values, and keep read-only copies."""
+        """Read robot and cell if paths were given, check the values, fill in the cell's noise, keep read-only copies.
+
+        A value of another type or out of range, or a kind that cannot be simulated, raises `CalibError`.
+        """
         object.__setattr__(self, "cell", cell_of(self.cell))
         object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
         for name, types, allowed in _TYPES:
@@ -154,9 +157,9 @@ class Scenario(Value):
 
     @property
     def tracker(self) -> Array | None:
-        """Position of the tracker in the base, shape (3,), [m]; None: at the origin of its frame.
+        """Position of the tracker in the base, shape (3,), [m]; None: at the origin of each measurement frame.
 
-        That is the cell's tracker; or if measurements are in the base frame, 3 m away along its x axis.
+        That is the cell's tracker; or if measurements are in the base frame, `DEFAULT_TRACKER`.
         """
         cell = self.cell
         if cell.tracker is not None:
@@ -173,10 +176,13 @@ class Scenario(Value):
         Args:
             seed: Of the random numbers.
 
+        Returns:
+            The robot with its true errors, the true places of targets and frames, and with a camera the equipment.
+
         Raises:
-            ModelError: An error that the model does not have.
-            CalibError: With a camera: disturbances that pictures do not have, several cameras or boards, or a board
-                that is never seen.
+            ModelError: An error that the model does not have, or a true robot with other joints.
+            CalibError: An error larger than calib allows. With a camera: disturbances that pictures do not have,
+                several cameras or boards, or a board that is never seen.
         """
         truth = draw_truth(
             self.robot,
@@ -216,7 +222,7 @@ class Scenario(Value):
         return VirtualCell(self, placed, equipment)
 
     def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
-        """Draw readings at joint values within the limits, or the cell's ranges.
+        """Draw readings at joint values that are uniform within the robot's limits, or the cell's ranges.
 
         Args:
             count: Number of poses.
@@ -289,7 +295,7 @@ class VirtualCell(Value):
 
     @property
     def reader(self) -> Reader:
-        """The instrument with its noise."""
+        """The instrument with its noise and outliers: a camera if the cell was drawn with one, else a tracker."""
         scenario = self.scenario
         if self.equipment is not None:
             sigma = scenario.sigma.get("px", 0.0)
@@ -325,7 +331,7 @@ class VirtualCell(Value):
         return draw_views(scene, count, stream(seed, "validation views" if validation else "views"))
 
     def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
-        """Measure every target at every pose.
+        """Measure every target at every pose, or with a camera every corner of the board that is seen.
 
         The stations take the poses in turn; with several visits the whole tour is repeated.
 
@@ -402,10 +408,10 @@ def simulate(
             or a name such as ``"ur3"`` stands for the usual scenario of that robot. For the kind ``"pixel"`` the chain
             leads from the camera's link to the board's.
         count: Number of random poses to estimate from; for pictures, of poses from which the camera sees the board.
-        validation: Number of random poses to validate with.
+        validation: Number of random poses to validate with, in addition.
         seed: The same seed gives the same measurements.
         poses: shape (n, m), poses in place of the random ones [rad] or [m]; None: ``count`` random ones.
-        sets: The set of each of them; (): all to estimate from.
+        sets: ``"estimate"`` or ``"validate"`` for each of ``poses``; (): all to estimate from.
 
     Returns:
         The measurements, and the truth.

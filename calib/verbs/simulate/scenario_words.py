@@ -124,15 +124,17 @@ def read_scenario(
     path: Path | None = None,
     words: ScenarioWords | None = None,
 ) -> Scenario:
-    """Read a scenario.
+    """Read a scenario from options of the command line, and from the table ``[simulation]`` of a cell file.
 
     Args:
         robot: The nominal robot.
-        cell: The cell.
-        path: Its file, whose table ``[simulation]`` counts too; None: there is none.
+        cell: The cell, whose error model, noise and priors are the defaults; its model ``"auto"`` is taken as
+            `DEFAULT_MODEL`.
+        path: The cell's file, whose table ``[simulation]`` has the disturbances; None: there are none.
         words: Options of the command line; None: none are given.
 
     Raises:
+        ModelError: An error's name that the model does not have.
         CalibError: A text that an option does not take, or a fault of the file.
     """
     words = words or ScenarioWords()
@@ -201,12 +203,14 @@ def parse_error_sizes(cell: Cell, text: str | None, *, named: bool) -> Mapping[s
     """Parse standard deviations of errors, ``length 0.5 mm, angle 3 mrad``, or ``none``.
 
     Args:
-        cell: Its priors are the default, if they are given.
-        text: As typed; None: the default, which is typical sizes, or none if there are named errors.
+        cell: Its priors are the default if they were given and no single errors are named.
+        text: As typed; None: the default, which is the cell's priors or else typical sizes; with named errors, no
+            others are drawn.
         named: Whether single errors are given by name.
 
     Returns:
-        Standard deviations by family, in its unit; empty: typical ones; None: no errors are drawn.
+        Standard deviations by the name of the family, in its SI unit; families that are missing have typical ones, so
+        that an empty mapping means typical ones for all. None: no errors are drawn.
 
     Raises:
         CalibError: It is another text.

@@ -62,13 +62,13 @@ class Tour:
     def of(
         cls, truth: Truth, sets: Sequence[str], *, visits: int = 1, paired: bool = False
     ) -> Tour:
-        """Return the views at poses, which the stations take in turn.
+        """Return the views of a tour, one for each target at each stop; the stations take the poses in turn.
 
         Args:
             truth: Has the targets and the stations.
-            sets: The set of each pose.
+            sets: ``"estimate"`` or ``"validate"`` for each pose.
             visits: Number of times that all poses are visited.
-            paired: Whether targets are measured in pairs of poses.
+            paired: Whether a target is measured at pairs of poses, which follow each other in their set.
 
         Raises:
             CalibError: Pairs of an odd number of poses.
@@ -105,7 +105,7 @@ class Tour:
 
     @property
     def pairs(self) -> tuple[str, ...]:
-        """Name of each view's pair; empty if it has none."""
+        """Name of each view's pair, such as ``"pair 1"`` for both of its views; empty if it has none."""
         names = [""] * len(self)
         if self.partner is not None:
             first = np.flatnonzero(np.arange(len(self)) < self.partner)
@@ -114,7 +114,7 @@ class Tour:
         return tuple(names)
 
     def with_partners(self, T: Array) -> Array:
-        """Return poses (R, 4, 4) as a kind takes them: for a paired kind those of both views, (R, 2, 4, 4)."""
+        """Return the poses of all views (R, 4, 4) as they are, or of pairs each with its partner's, (R, 2, 4, 4)."""
         if self.partner is None:
             return T
         return np.stack([T, T[self.partner]], axis=1)
@@ -186,11 +186,14 @@ class Reader(ABC):
 
     @abstractmethod
     def read(self, stops: Stops, seed: int) -> Rows:
-        """Read all targets of a tour.
+        """Read all targets of a tour, with the instrument's noise and outliers.
 
         Args:
-            stops: The stops of the robot.
+            stops: The stops of the robot, and the poses of the targets there.
             seed: Of the random numbers.
+
+        Raises:
+            CalibError: There are fewer rows than outliers, or a camera sees nothing.
         """
 
 
@@ -211,7 +214,7 @@ class TrackerReader(Reader):
     outliers: Outliers | None
 
     def read(self, stops: Stops, seed: int) -> Rows:
-        """Read one row at each view."""
+        """Read one row at each view: what the kind measures of the displaced target, with noise and outliers."""
         kind, truth, tour, T = self.kind, self.truth, stops.tour, stops.T_frame_target
         assert kind.measure is not None
         instrument = self._instrument_std(tour, T)
@@ -269,7 +272,11 @@ class TrackerReader(Reader):
         return np.asarray(noise.constant + noise.per_length * distance)
 
     def _draw_outliers(self, tour: Tour, seed: int) -> Array:
-        """Draw the displacement of each row's measurement, shape (R, 3), [m]; for a pair that of its first row."""
+        """Draw the displacement of each row's measurement, (R, 3) [m]; it is zero except in outliers.
+
+        Outliers are among the rows to estimate from, of a pair its first row. Without a measured position the first
+        column is the change of the length, and the others are zero.
+        """
         displacement = np.zeros((len(tour), 3))
         if self.outliers is None:
             return displacement
@@ -298,7 +305,7 @@ class CameraReader(Reader):
     outliers: Outliers | None
 
     def read(self, stops: Stops, seed: int) -> Rows:
-        """Find the corners that are seen in each picture, a row each."""
+        """Find the corners that are seen in each picture, a row each; raises `CalibError` if none is seen in any."""
         T, sets = stops.displaced, stops.tour.sets
         camera, printed = self.equipment.camera, self.equipment.printed
         pixels, is_seen = corner_pixels(camera, printed.corners, T, SIGHT)
@@ -361,7 +368,7 @@ def with_pose_noise(kind: Kind, readings: Array, R: Array, noise: Mapping[str, A
             taken; angles are a rotation vector along the axes of the frame.
 
     Returns:
-        shape (N, k).
+        The readings with noise, shape (N, k).
     """
     result = readings.copy()
     if kind.position:
@@ -379,11 +386,12 @@ def with_reading_noise(kind: Kind, readings: Array, noise: Mapping[str, Array]) 
     Args:
         kind: The kind of all N rows.
         readings: shape (N, k), as `Kind` has them.
-        noise: Of each quantity, shape (N, n), a column for each of its readings in their order, after three columns for
-            a position or an orientation.
+        noise: By quantity, in the readings' units, shape (N, n): a column for each of its readings in their order,
+            after three columns if the kind measures a position (for lengths) or an orientation (for angles).
 
     Returns:
-        shape (N, k). If noise would make a positive reading negative, its absolute value is taken.
+        The readings with noise, shape (N, k). If noise would make a positive reading negative, its absolute value is
+        taken.
     """
     result = readings.copy()
     first = kind.size - len(kind.readings)

@@ -52,7 +52,7 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
 
 
 def _count_sets(sets: Sequence[str]) -> str:
-    """Word how many rows or pictures are of each set, in brackets; empty if all are to estimate from."""
+    """Word in brackets how many rows or pictures are of each set; empty if all are to estimate from."""
     estimation = sum(name == SETS[0] for name in sets)
     if estimation == len(sets):
         return ""
@@ -60,10 +60,10 @@ def _count_sets(sets: Sequence[str]) -> str:
 
 
 def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
-    """Yield label and text of the true errors of each family, and of the nominal robot's position error.
+    """Yield label and text of the error model, of the true errors of each family, and of the nominal robot's errors.
 
     Args:
-        truth: The robot with its errors, and its target.
+        truth: The robot with its errors, and its targets, whose first one shows the nominal robot's position errors.
         q: True joint values of the measurements, shape (N, m), [rad] or [m].
     """
     families = _errors_by_family(truth)
@@ -83,7 +83,10 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
 
 
 def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
-    """Collect the true errors that are not 0, by family and unit in the order of `FAMILIES`, then by name."""
+    """Return the true errors that are not 0 by their names, in their SI units, for each family and unit in it.
+
+    Families are in the order of `FAMILIES`.
+    """
     families: dict[tuple[str, str], dict[str, float]] = {}
     for parameter, value in zip(truth.model.parameters, truth.x, strict=True):
         if value:
@@ -95,7 +98,10 @@ def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
 
 
 def _tracker_facts(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each fact about rows of a tracker; the text of a disturbance that is absent is empty."""
+    """Yield label and text of each fact about rows of a tracker, without disturbances that are absent.
+
+    The text of encoder steps is empty if there are none.
+    """
     truth, kind = simulated.truth, scenario.kind
     yield "Each row measures", f"the {kind.words}"
     yield "Targets at each pose", ", ".join(truth.targets)
@@ -140,7 +146,7 @@ def _tracker_facts(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[s
 def _picture_facts(
     scenario: Scenario, simulated: Simulated, pictures: Pictures
 ) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each fact about pictures; the text of encoder steps is empty without any."""
+    """Yield label and text of each fact about pictures and true errors; the text of encoder steps may be empty."""
     truth = simulated.truth
     camera, stated = pictures.equipment.camera, pictures.equipment.stated
     printed, board = pictures.equipment.printed, pictures.equipment.printed.board
@@ -191,7 +197,7 @@ def _picture_facts(
 
 
 def encoder_steps(scenario: Scenario) -> str:
-    """Word the steps of the encoders; empty: they have none."""
+    """Word the steps of the encoders in deg and mm; those of 0 are left out, so that the text may be empty."""
     encoder = scenario.encoder
     steps = (f"{np.degrees(encoder.angle):g} deg", f"{1e3 * encoder.length:g} mm")
     nonzero_steps = [step for step in steps if not step.startswith("0 ")]
@@ -199,7 +205,7 @@ def encoder_steps(scenario: Scenario) -> str:
 
 
 def _noise(scenario: Scenario, simulated: Simulated) -> str:
-    """Word the standard deviation of the noise of a length, and its parts."""
+    """Word the standard deviation of the noise of a length, its range over the rows [mm], and its parts."""
     noise = scenario.noise
     if noise is None:
         return "none"

@@ -88,12 +88,17 @@ class Truth(Value):
     def write_urdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the URDF of the true geometry, after reading it back with Pinocchio and yourdfpy.
 
+        It has no verdict, because that of the nominal URDF is on another geometry.
+
         Args:
             path: The file.
             overwrite: Whether an existing file is replaced.
 
         Returns:
             The file.
+
+        Raises:
+            CalibError: The URDF reads back differently, or the file exists or cannot be written.
         """
         robot = self.robot
         q = random_joint_values(robot)
@@ -106,10 +111,10 @@ class Truth(Value):
         return float(self.x[self.model.index(name)])
 
     def tip_poses(self, q: ArrayLike) -> Array:
-        """Compute T_base_tip, shape (N, 4, 4), [m].
+        """Compute the true T_base_tip, with all errors of the robot, shape (N, 4, 4), [m].
 
         Args:
-            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
+            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m].
         """
         robot, x, load = self.nominal, self.x, None
         if self.given is not None:
@@ -121,10 +126,10 @@ class Truth(Value):
         return kinematics.poses(x, Samples.at(q, load))
 
     def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
-        """Compute T_frame_target, shape (N, 4, 4), [m].
+        """Compute the true T_frame_target, shape (N, 4, 4), [m].
 
         Args:
-            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
+            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m].
             target: Name of the target; None: the first.
             group: Name of the group whose frame it is; None: the first.
         """
@@ -138,10 +143,13 @@ class Truth(Value):
         return self.poses(q, target, group)[:, :3, 3]
 
     def nominal_errors(self, q: ArrayLike) -> Array:
-        """Compute the position errors of the nominal robot at the first target, those of frame and target aside.
+        """Compute how far the nominal robot has the first target from where the true robot has it.
+
+        The target's place in the tip is the true one, and both positions are in the base, so that errors of the target
+        and of the frame do not count.
 
         Args:
-            q: Joint values that are read, shape (N, m), [rad] or [m].
+            q: Joint values as exact encoders read them, shape (N, m), [rad] or [m].
 
         Returns:
             Distances, shape (N,), [m].
@@ -219,6 +227,8 @@ def draw_truth(
 def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
     """Draw T_frame_base of a tracker at a point, levelled to about 10 mrad, in any heading.
 
+    The origin of its frame is the tracker, and its z axis points up, nearly along z of the base.
+
     Args:
         position: In the base, shape (3,), [m].
         rng: Draws heading and tilt.
@@ -241,7 +251,12 @@ def _draw_errors(
     cell: Cell,
     given: Mapping[str, float],
 ) -> Array:
-    """Draw the errors of a robot that are not given, normally distributed and inside their bounds, shape (p,)."""
+    """Return the p errors of a model, (p,) in their units: as given by name, the others normally distributed.
+
+    Standard deviations are the cell's priors of single errors, else the sizes by family, else typical ones. Drawn ones
+    are clipped to the cell's bounds, and are 0 without sizes (None). It raises `ModelError` for a name that the model
+    does not have, and `CalibError` for an error that is too large.
+    """
     for name in given:
         model.index(name)  # refuses one that the model does not have
     x = np.zeros(len(model))
@@ -268,7 +283,7 @@ def _draw_errors(
 
 
 def _compare_placements(nominal: Robot, true: Robot) -> tuple[Robot, dict[str, float]]:
-    """Return the nominal robot with the placements of a true one, and these as errors of the set ``placement``.
+    """Return the nominal robot with the placements of a true one, and its errors as those of the set ``placement``.
 
     The errors, by name, are along x, y, z [m], then about the moving axes x, y, z [rad]. If joints, types or axes
     differ, it raises `ModelError`; the true robot's URDF may differ in other ways.
@@ -299,7 +314,10 @@ def _compare_placements(nominal: Robot, true: Robot) -> tuple[Robot, dict[str, f
 
 
 def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
-    """Return names of F stations and T_frame_base of each, (F, 4, 4) [m]: as given, drawn, or the identity."""
+    """Return names of F stations and T_frame_base of each, (F, 4, 4) [m]: as given, drawn, or the identity.
+
+    One is drawn if it is not given and the cell estimates it, or its kind of measurement has a frame of its own.
+    """
     groups = tuple(cell.frames) or ("",)
     has_own_frame = cell.kind is not None and registry.get(cell.kind).own_frame
     rng = stream(seed, "frames")
@@ -325,7 +343,10 @@ def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
 def _draw_targets(
     cell: Cell, seed: int, position_std: float
 ) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names of T targets, their stated poses in the tip, (T, 4, 4) [m], and true ones drawn around these."""
+    """Return names of T targets, their stated poses in the tip, (T, 4, 4) [m], and true ones drawn around these.
+
+    With known targets, or a standard deviation of 0 [m], the true poses are the stated ones.
+    """
     names = tuple(cell.targets) or (DEFAULT_TARGET,)
     rng = stream(seed, "targets")
     stated = np.tile(np.eye(4), (len(names), 1, 1))

@@ -38,7 +38,7 @@ def write_truth(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """Write the truth of a simulation.
+    """Write the truth of a simulation as JSON, in SI units.
 
     It is complete: true positions, and the pixels of a camera, follow from it and the nominal URDF.
 
@@ -68,7 +68,7 @@ def write_truth(
 
 
 def truth_table(truth: Truth) -> dict[str, Any]:
-    """Return the part of the file that describes a robot with its errors, its targets and its frames."""
+    """Return the tables of a truth file that describe a robot with its errors, targets and frames, in SI units."""
     robot, model, payload = truth.nominal, truth.model, truth.payload
     ties = []
     displacements = []
@@ -124,7 +124,7 @@ def _pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
 
 
 def _tracker_tables(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
-    """Return the tables ``instrument``, ``events`` and ``rows``."""
+    """Return the tables ``instrument``, ``events`` and ``rows`` of a tracker's truth file, in SI units."""
     noise, moved, table = scenario.noise, scenario.moved, simulated.measurements
     outliers = [
         {"row": table.rows[i], "displacement_m": simulated.outliers[i]}
@@ -163,7 +163,10 @@ def _tracker_tables(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
 
 
 def _equipment_errors(equipment: Equipment) -> list[dict[str, Any]]:
-    """Return the errors of the camera's numbers and of the print, by name: true less stated values."""
+    """Return name, unit and value of each error of the camera's numbers, true less stated, and of the print.
+
+    Without stated numbers of the camera there are none of it.
+    """
     lens = LENSES[equipment.camera.lens]
     true, stated = equipment.camera.values, equipment.stated.values
     errors = []
@@ -182,7 +185,10 @@ def _equipment_errors(equipment: Equipment) -> list[dict[str, Any]]:
 
 
 def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures) -> dict[str, Any]:
-    """Return the tables ``cameras``, ``boards``, ``instrument``, ``events`` and ``pictures``."""
+    """Return the tables ``cameras``, ``boards``, ``instrument``, ``events`` and ``pictures`` of a truth file.
+
+    Values are in SI units, and pixels are the true ones, without noise.
+    """
     camera, stated = pictures.equipment.camera, pictures.equipment.stated
     printed, board = pictures.equipment.printed, pictures.equipment.printed.board
     names = LENSES[camera.lens].names

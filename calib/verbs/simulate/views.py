@@ -100,7 +100,7 @@ def filled_shares(camera: Camera, pixels: Array) -> Array:
 
 
 def is_framed(scene: CameraScene, T_camera_board: Array, framing: Framing = USUAL_FRAMING) -> Mask:
-    """Return whether pictures show the whole board as it is to be shown.
+    """Return which pictures show the whole board, neither too small nor too large, nor tilted too much.
 
     Args:
         scene: Has the camera and the board.
@@ -108,7 +108,7 @@ def is_framed(scene: CameraScene, T_camera_board: Array, framing: Framing = USUA
         framing: Conditions under which it is shown well.
 
     Returns:
-        shape (N,).
+        True where a picture does, shape (N,).
     """
     sight = Sight(margin=framing.margin, tilt=np.pi / 2.0)
     pixels, is_seen = corner_pixels(scene.camera, scene.printed.corners, T_camera_board, sight)
@@ -119,7 +119,10 @@ def is_framed(scene: CameraScene, T_camera_board: Array, framing: Framing = USUA
 
 
 def filling_distance(camera: Camera, board: Board) -> float:
-    """Return the distance from which a board fills the image's width or height, whichever is full first [m]."""
+    """Return the distance [m] at which a board that faces a camera fills the width or the height of its image.
+
+    That is the one that is full first as the board comes nearer. The camera's numbers must be known.
+    """
     assert camera.values is not None
     focal_lengths = camera.values[:2]
     shares = focal_lengths * board.size / [camera.width, camera.height]
@@ -167,7 +170,10 @@ def draw_views(
 def try_views(
     scene: CameraScene, tries: int, rng: np.random.Generator, framing: Framing = USUAL_FRAMING
 ) -> Array:
-    """Draw a number of views and approach them; return the readings (n, m) [rad] or [m] that show the whole board."""
+    """Draw as many views as there are tries, and move the robot towards each from random joint values.
+
+    Returned are the readings (n, m), [rad] or [m], of those that show the board well, which may be few or none.
+    """
     robot = scene.sightline.robot
     low, high = planning_ranges(robot, {}, _LIMIT_MARGIN).T
     limits = planning_ranges(robot, {}, _LIMIT_MARGIN, turns=True)
@@ -191,7 +197,7 @@ def try_views(
 def _draw_wanted(
     scene: CameraScene, count: int, rng: np.random.Generator, framing: Framing
 ) -> Array:
-    """Draw where the board's centre [m] and its normal, times L, are to be in the camera, shape (count, 6)."""
+    """Draw where the board's centre [m] and its normal, times `_NORMAL`, are to be in the camera, shape (count, 6)."""
     camera = scene.camera
     size = np.array([camera.width, camera.height])
     pixels = (size - 1) / 2.0 + size * rng.uniform(-0.5, 0.5, size=(count, 2)) * _CENTRAL
@@ -207,7 +213,10 @@ def _draw_wanted(
 
 
 def _approach(scene: CameraScene, wanted: Array, start: Array, limits: Array) -> Array:
-    """Return joint values (n, m) that are moved towards views (n, 6), see `_draw_wanted`, within limits (m, 2)."""
+    """Return joint values (n, m), moved from a start (n, m) towards views (n, 6), within limits (m, 2), [rad] or [m].
+
+    The views are as `_draw_wanted` returns them; the moves are damped Gauss-Newton steps.
+    """
     low, high = limits.T
     values = start
     steps = _DIFFERENCE * np.eye(len(low))
@@ -226,7 +235,7 @@ def _approach(scene: CameraScene, wanted: Array, start: Array, limits: Array) ->
 
 
 def _see(scene: CameraScene, values: Array) -> Array:
-    """Return centre [m] and normal, times L, of the board in the camera at joint values (n, m), shape (n, 6)."""
+    """Return centre [m] and normal, times `_NORMAL`, of the board in the camera at joint values (n, m), (n, 6)."""
     sightline = scene.sightline
     T = sightline.target_poses(sightline.robot.readings(values))
     middle = T[:, :3, :3] @ scene.printed.board.centre + T[:, :3, 3]
