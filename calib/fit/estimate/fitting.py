@@ -1,7 +1,7 @@
 """One fit: frames and targets are registered, then all parameters are estimated from there.
 
-`fit` registers (`calib.fit.registration`), makes the `Problem`, and estimates: within bounds (`bounds`), in stages that
-alternate with solves (`solving`, `stages`), or by the paper's algorithm (`paper_estimate`). What some tables need
+`fit` registers (`calib.fit.registration`), makes the `Problem`, and estimates: within bounds, in stages that alternate
+with solves (`solving`, `stages`), or by the paper's algorithm (`paper_estimate`). What some tables need
 besides is in `special_cases`.
 """
 
@@ -15,11 +15,11 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.jobs import one_blas_thread
 from calib.basics.values import Value
 from calib.errors import MeasurementError, ModelError
-from calib.fit.estimate.bounds import estimate_within_bounds
 from calib.fit.estimate.estimate import Estimate
 from calib.fit.estimate.paper_estimate import paper_estimate, paper_start
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.solving import estimate_within_bounds
 from calib.fit.estimate.special_cases.pose_covariances import settle_pose_noise, with_joint_errors
 from calib.fit.estimate.special_cases.sole_postures import mark_sole_postures
 from calib.fit.estimate.task import Task

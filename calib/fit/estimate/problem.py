@@ -33,8 +33,8 @@ from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.special_cases.arm_size import SizeGauge, find_size_gauge, measures_length
 from calib.fit.estimate.special_cases.stop_shares import PARTS
 from calib.fit.estimate.special_cases.stops import Stops
-from calib.fit.registration.known_distances import KnownDistance
 from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import KnownDistance
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.numerics.solvers import triangle

@@ -15,14 +15,16 @@ from calib.basics.arrays import read_only
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
-from calib.fit.selection.candidates import Candidate, mark_chosen, without_vanished_families
-from calib.fit.selection.ladder import (
+from calib.fit.selection.candidates import (
+    Candidate,
     check_parameter_names,
     determinable_families,
     geometry_parameters,
+    mark_chosen,
     model_name,
+    without_vanished_families,
 )
-from calib.fit.selection.reference_fit import explains_more_rows
+from calib.fit.selection.row_weights import explains_more_rows
 from calib.fit.selection.search import Search
 
 #: The most searches: after the first, weights are estimated again with the model that the last one chose.

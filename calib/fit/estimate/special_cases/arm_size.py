@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
-from calib.fit.registration.known_distances import KnownDistance
 from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import KnownDistance
 from calib.model.kinematics import Kinematics
 from calib.numerics.errors import rms
 from calib.robot.ranges import spread_poses

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.fit.estimate.bounds import estimate_within_bounds
 from calib.fit.estimate.estimate import Estimate
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.solving import estimate_within_bounds
 from calib.fit.estimate.special_cases.stops import twists_of_joints
 from calib.fit.estimate.stages import FEWEST_FREEDOM
 from calib.fit.estimate.task import Task
