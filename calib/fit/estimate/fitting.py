@@ -210,8 +210,13 @@ def fit(
     kinematics = Kinematics(task.robot, model, registered.T_frame_base, registered.T_tip_target)
     rows = with_joint_errors(rows, kinematics)
     problem = Problem.initial(kinematics, rows, task.distances).with_size_held()
-    estimator = _estimate if task.has_weights_and_priors else paper_estimate
-    estimate = estimator(problem, task, registered)
+    if task.has_weights_and_priors:
+        prior = PriorTerms.of(task, model, registered)
+        problem = mark_sole_postures(problem, prior)
+        estimate = estimate_within_bounds(problem, task, prior)
+        estimate = settle_pose_noise(estimate, problem, task, prior)
+    else:
+        estimate = paper_estimate(problem, task, registered)
 
     if reference is not None:
         estimate = replace(
@@ -221,11 +226,3 @@ def fit(
             flag_limit=reference.estimate.flag_limit,
         )
     return Fitted(task, registered, kinematics, estimate)
-
-
-def _estimate(problem: Problem, task: Task, registered: Setup) -> Estimate:
-    """Estimate all parameters by weighted least squares with priors, and the weights, noise and priors themselves."""
-    prior = PriorTerms.of(task, problem.kinematics.model, registered)
-    problem = mark_sole_postures(problem, prior)
-    estimate = estimate_within_bounds(problem, task, prior)
-    return settle_pose_noise(estimate, problem, task, prior)

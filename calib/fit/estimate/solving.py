@@ -92,21 +92,9 @@ class StageSolver:
     def linear_at(self, stage: Stage) -> LinearProblem:
         """Return the problem linearised at the solution of a stage of one fit (B = 1), or where it hardly differs.
 
-        A solve, with the tolerance `_ROUGH`, is saved if the last linearisation, or one at a solution close to it,
-        serves.
-        """
-        near = self._linear_without_solve(stage)
-        if near is None:
-            self.solve(stage, _ROUGH)
-            near = self._problem.linear(self._x)
-        self._linear = near
-        return near
-
-    def _linear_without_solve(self, stage: Stage) -> LinearProblem | None:
-        """The linearised problem that gives a stage's solution without a solve; None if a solve is needed.
-
-        It is that of the last stage if the solution has moved by no more than `_ROUGH`, or one at the new solution if
-        that moved by no more than `_CLOSE` and a second linear fit confirms it; norms over all parameters, in steps.
+        A solve, with the tolerance `_ROUGH`, is saved if the solution has moved by no more than that since the last
+        stage, whose linearisation then serves; or by no more than `_CLOSE`, if a second linear fit confirms the new
+        solution. Norms are over all parameters, in steps.
         """
 
         def solution_of(linear: LinearProblem) -> Array:
@@ -119,19 +107,21 @@ class StageSolver:
             """Length of a change of parameters, (p,), in steps of 1 mm and 1 mrad."""
             return float(np.linalg.norm(change / self._step_size))
 
-        if self._linear is None:
-            return None
-        x = solution_of(self._linear)
-        moved = length(x - self._x)
-        if moved <= _ROUGH:  # the difference is of the order of 1e-8 m and rad
-            return self._linear
-        if moved <= _CLOSE:
-            # A step as short as this needs no damping, if the next one confirms it.
-            linear = self._problem.linear(x)
-            if length(solution_of(linear) - x) <= _ROUGH:
-                self._x = x
-                return linear
-        return None
+        if self._linear is not None:
+            x = solution_of(self._linear)
+            moved = length(x - self._x)
+            if moved <= _ROUGH:  # the difference is of the order of 1e-8 m and rad
+                return self._linear
+            if moved <= _CLOSE:
+                # A step as short as this needs no damping, if the next one confirms it.
+                linear = self._problem.linear(x)
+                if length(solution_of(linear) - x) <= _ROUGH:
+                    self._x = x
+                    self._linear = linear
+                    return linear
+        self.solve(stage, _ROUGH)
+        self._linear = self._problem.linear(self._x)
+        return self._linear
 
 
 def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:

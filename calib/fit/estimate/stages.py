@@ -255,24 +255,19 @@ class Stage:
             return self
         rho = np.ones(len(alive))
         if mode == "weighted":
-            rho = self._correlation_of_repeats(linear, poses)
+            # The intraclass correlation, by the scatter of residuals; 1 if these are too few.
+            x, _, freedom = self.fit(linear)
+            residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
+            scalars = np.sum(self.effective @ linear.used, axis=1)
+            fitted = np.maximum(scalars - freedom, 0.0)
+            for b, weights in enumerate(self.weights):
+                repeats = scatter_of_repeats(
+                    residual[b], linear.channels, poses, weights, fitted=float(fitted[b])
+                )
+                if repeats.freedom >= _TELLING_REPEATS:
+                    rho[b] = repeats.rho
         others = np.maximum(counts, 1) - 1.0
         return replace(self, repeat_factor=1.0 / (1.0 + others * rho[:, None]))
-
-    def _correlation_of_repeats(self, linear: LinearProblem, poses: Integers) -> Array:
-        """Estimate the intraclass correlation of repeats, (B,), from their residuals; 1 if these are too few."""
-        x, _, freedom = self.fit(linear)
-        residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
-        scalars = np.sum(self.effective @ linear.used, axis=1)
-        fitted = np.maximum(scalars - freedom, 0.0)
-        rho = np.ones(len(x))
-        for b, weights in enumerate(self.weights):
-            repeats = scatter_of_repeats(
-                residual[b], linear.channels, poses, weights, fitted=float(fitted[b])
-            )
-            if repeats.freedom >= _TELLING_REPEATS:
-                rho[b] = repeats.rho
-        return rho
 
     def by_stops(self, linear: LinearProblem) -> Stage:
         """Return the stage with what the targets of a stop have in common estimated; itself if there are no stops.

@@ -137,34 +137,26 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     residuals = []
     for mask, x in zip(folds.masks, means, strict=True):
         part = linear.select(mask)
-        unseen = seen_only_by(fitted, mask)  # by the rows outside of the fold
+        unseen = seen_only_by(fitted, mask)
         if np.any(unseen):
-            x = _fit_unseen(part, x, unseen, problem.weights[mask])
+            # Parameters that only these rows see are fitted to them; a row without weight must not move the frame.
+            row, _ = np.nonzero(part.used)
+            root = np.sqrt(problem.weights[mask])[row]
+            by_others = part.residual(np.where(unseen, 0.0, x))[part.used]
+            columns = part.A[part.used][:, unseen]
+            weighted_columns = columns * root[:, None]
+            solution, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
+            x = x.copy()
+            x[unseen] = solution
+
         standardised = part.residual(x)
         held_out_rows = rows.select(mask)
-        residual = np.zeros(
-            standardised.shape
-        )  # as wide as the table, which may have wider rows than these
+        # As wide as the table, which may have wider rows than these.
+        residual = np.zeros(standardised.shape)
         width = held_out_rows.width
         residual[:, :width] = held_out_rows.in_units(standardised[:, :width])
         residuals.append(residual)
     return folds.join(rows, residuals, outliers)
-
-
-def _fit_unseen(part: LinearProblem, x: Array, unseen: Mask, weights: Array) -> Array:
-    """Fit those of the parameters x, (p,), that only the n rows of a part see, ``unseen``, (p,), to these rows.
-
-    A row without weight, (n,), must not move the frame of the others.
-    """
-    row, _ = np.nonzero(part.used)
-    root = np.sqrt(weights)[row]
-    by_others = part.residual(np.where(unseen, 0.0, x))[part.used]
-    columns = part.A[part.used][:, unseen]
-    weighted_columns = columns * root[:, None]
-    solution, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
-    result = x.copy()
-    result[unseen] = solution
-    return np.asarray(result)
 
 
 def fold_posterior_means(
@@ -217,18 +209,26 @@ def held_out_residuals_linear(
     within_bounds = np.all((estimates >= low) & (estimates <= high), axis=1)
     admissible = (freedom > FEWEST_FREEDOM) & within_bounds
 
+    rows = estimate.problem.rows
     residuals = {}
     for i in np.flatnonzero(admissible).tolist():
         k = numbers[i]
-        residual = _accurate_residual(fitted, linear, estimates[i], masks[k])
-        if residual is None:
+        mask = masks[k]
+        # Where the fit without the fold has come to, the linear problem is compared with the robot itself, at the rows
+        # that the fold keeps.
+        residual = estimate.problem.residual(estimates[i])
+        linear_residual = rows.in_units(linear.residual(estimates[i]))
+        difference = (linear_residual - residual) / estimate.problem.scales
+        kept_rows = rows.checked & ~mask & (estimate.weights > 0.0)
+        kept = rows.used & kept_rows[:, None]
+        if not np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR:
             continue
-        residuals[k] = residual[masks[k]]
-        if np.any(seen_only_by(fitted, masks[k])):
+
+        residuals[k] = residual[mask]
+        if np.any(seen_only_by(fitted, mask)):
             # Frames and targets that only the fold sees are registered to its rows.
             without_fold = replace(fitted, estimate=replace(estimate, x=estimates[i]))
-            rows = estimate.problem.rows
-            residuals[k] = held_out_residual(without_fold, rows, masks[k], outliers)
+            residuals[k] = held_out_residual(without_fold, rows, mask, outliers)
     return residuals
 
 
@@ -271,22 +271,3 @@ def _fit_without_folds(
         x.append(stage.fit(linear)[0])
         freedom.append(freedom_of_part)
     return np.concatenate(x), np.concatenate(freedom)
-
-
-def _accurate_residual(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> Array | None:
-    """Return the residual of all rows, (N, D), at the parameters x, (p,), of a fold that holds out ``mask``, (N,).
-
-    None if the linear problem is not accurate there, by comparison with the robot itself at the rows that the fold
-    keeps.
-    """
-    estimate = fitted.estimate
-    problem = estimate.problem
-    rows = problem.rows
-    residual = problem.residual(x)
-    linear_residual = rows.in_units(linear.residual(x))
-    difference = (linear_residual - residual) / problem.scales
-    kept_rows = rows.checked & ~mask & (estimate.weights > 0.0)
-    kept = rows.used & kept_rows[:, None]
-    if np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR:
-        return residual
-    return None

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Mask, read_only
 from calib.errors import MeasurementError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.rows import Rows
@@ -118,7 +118,20 @@ def compare_weights(fitted: Fitted) -> Robustness:
     rows = fitted.estimate.problem.rows
     task = replace(fitted.task, robust=not fitted.task.robust)
     other = fit(task, replace(rows, weights=None), registered=fitted.setup)
-    distances = _distances(fitted, other)
+
+    # Distances between the points that both fits predict. If no row determines where the base stands, a motion of all
+    # points as one body is left out.
+    samples = rows.samples
+    as_one_body = not any(kind.tells_place for kind in rows.present)
+    if as_one_body:
+        samples = replace(samples, frame=np.zeros_like(samples.frame))
+    points = fitted.kinematics.points(fitted.estimate.x, samples)
+    other_points = other.kinematics.points(other.estimate.x, samples)
+    displacements = (other_points - points)[:, :, None]
+    if as_one_body:
+        displacements = without_rigid_motion(points, displacements)
+    distances = np.linalg.norm(displacements[:, :, 0], axis=1)
+
     robust, full = (fitted, other) if fitted.task.robust else (other, fitted)
     kept = ~fitted.estimate.outliers
     try:
@@ -138,21 +151,3 @@ def compare_weights(fitted: Fitted) -> Robustness:
         errors_lowered=errors_lowered,
         errors_full=errors_full,
     )
-
-
-def _distances(fitted: Fitted, other: Fitted) -> Array:
-    """Return the distances between the points that two fits of a model predict at the N measured poses, (N,) [m].
-
-    If no row determines where the base stands, a motion as one body is left out.
-    """
-    rows = fitted.estimate.problem.rows
-    samples = rows.samples
-    as_one_body = not any(kind.tells_place for kind in rows.present)
-    if as_one_body:
-        samples = replace(samples, frame=np.zeros_like(samples.frame))
-    points = fitted.kinematics.points(fitted.estimate.x, samples)
-    other_points = other.kinematics.points(other.estimate.x, samples)
-    displacements = (other_points - points)[:, :, None]
-    if as_one_body:
-        displacements = without_rigid_motion(points, displacements)
-    return np.asarray(np.linalg.norm(displacements[:, :, 0], axis=1))

@@ -81,6 +81,11 @@ _SETTLED = 1e-9
 def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
     """Return the problem with the rows of sole postures marked, unless they are already.
 
+    The standard deviation of a pose's prediction from the other rows, over the noise, is sqrt(k / (1 - k)) with the
+    pose's leverage k: the largest eigenvalue of A C A^T, where A is the Jacobian of its scalars and C the covariance of
+    the parameters by all rows, at the first stage. Rows whose frame or target few rows of other poses observe are not
+    marked.
+
     Args:
         problem: The least-squares problem before any estimate.
         prior: Priors as given, at whose means the problem is linearised.
@@ -94,7 +99,21 @@ def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
     linear = problem.linear(prior.mean)
     every_row = np.ones((1, len(rows)), dtype=bool)
     first = Stage.initial(prior, every_row, len(problem.smallest_noise))
-    return replace(problem, rows=replace(rows, sole=_find(linear, rows, first)))
+    _, covariances, _ = first.fit(linear)
+    covariance = covariances[0]
+    block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
+    # Bounds first: the largest eigenvalue is at most the trace.
+    leverage = np.bincount(block, _traces(linear, covariance))
+    for b in np.flatnonzero(leverage > _WORTH_A_LOOK).tolist():
+        mask = block == b
+        A = linear.A[mask][rows.used[mask]]
+        leverage[b] = np.linalg.eigvalsh(A @ covariance @ A.T)[-1]
+    leverage = np.clip(leverage, 0.0, _HIGHEST_LEVERAGE)
+    unpredicted = np.sqrt(leverage / (1.0 - leverage))
+    typical = float(np.median(unpredicted))
+    is_sole = unpredicted > max(_UNPREDICTED, _ABOVE_TYPICAL * typical)
+    sole = is_sole[block] & _seen_by_others(rows, block)
+    return replace(problem, rows=replace(rows, sole=sole))
 
 
 def add_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
@@ -137,29 +156,6 @@ def add_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Est
         scores=read_only(scores),
         weights=read_only(np.where(sole, by_scores, estimate.weights)),
     )
-
-
-def _find(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
-    """Find the rows of sole postures, (N,); rows whose frame or target few rows of other poses observe are not.
-
-    The standard deviation of a pose's prediction from the other rows, over the noise, is sqrt(k / (1 - k)) with the
-    pose's leverage k: the largest eigenvalue of A C A^T, where A is the Jacobian of its scalars and C the covariance of
-    the parameters by all rows, at the first stage of one fit (B = 1).
-    """
-    _, covariances, _ = first.fit(linear)
-    covariance = covariances[0]
-    block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
-    # Bounds first: the largest eigenvalue is at most the trace.
-    leverage = np.bincount(block, _traces(linear, covariance))
-    for b in np.flatnonzero(leverage > _WORTH_A_LOOK).tolist():
-        mask = block == b
-        A = linear.A[mask][rows.used[mask]]
-        leverage[b] = np.linalg.eigvalsh(A @ covariance @ A.T)[-1]
-    leverage = np.clip(leverage, 0.0, _HIGHEST_LEVERAGE)
-    unpredicted = np.sqrt(leverage / (1.0 - leverage))
-    typical = float(np.median(unpredicted))
-    sole = unpredicted > max(_UNPREDICTED, _ABOVE_TYPICAL * typical)
-    return np.asarray(sole[block] & _seen_by_others(rows, block))
 
 
 def _traces(linear: LinearProblem, covariance: Array) -> Array:
