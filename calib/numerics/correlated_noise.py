@@ -112,7 +112,7 @@ def likeliest_noise(
     return noise
 
 
-def support(
+def compare_with_equal(
     stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
 ) -> float:
     """Compare the likelihood of stated covariances with that of equal ones, each at its likeliest noise.

@@ -160,7 +160,13 @@ def score_and_information(
     score = np.empty(logs.shape)
     information = np.empty((*logs.shape, logs.shape[1]))
     score[:, :C] = data.residual_square(mean) / np.square(noise) + traces - data.count
-    information[:, :C, :C] = _information_of_noise(HC, traces, data.count)
+    # Of log noise: 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal.
+    B, _, p, _ = HC.shape
+    flat = HC.reshape(B, C, p * p)
+    flat_transposed = HC.swapaxes(2, 3).reshape(B, C, p * p)
+    of_noise = 2.0 * (flat @ flat_transposed.swapaxes(1, 2))
+    diagonals(of_noise)[...] += 2.0 * (data.count - 2.0 * traces)
+    information[:, :C, :C] = of_noise
     if len(members):
         squares = (mean**2 + diagonals(covariance)) @ members.T
         score[:, C:] = squares / prior_std**2 - members.sum(axis=1)
@@ -180,16 +186,3 @@ def score_and_information(
         diagonals(reduction)[...] += root > 0.0
         information[:, C:, C:] = 2.0 * (members @ reduction**2 @ members.T)
     return score, information
-
-
-def _information_of_noise(HC: Array, traces: Array, count: Array) -> Array:
-    """Return the expected information of log noise, shape (B, C, C), by H_c C / sigma_c^2, shape (B, C, p, p).
-
-    It is 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal.
-    """
-    B, C, p, _ = HC.shape
-    flat = HC.reshape(B, C, p * p)
-    flat_transposed = HC.swapaxes(2, 3).reshape(B, C, p * p)
-    result = 2.0 * (flat @ flat_transposed.swapaxes(1, 2))
-    diagonals(result)[...] += 2.0 * (count - 2.0 * traces)
-    return np.asarray(result)

@@ -25,9 +25,9 @@ from calib.model.kinematics import Kinematics
 from calib.numerics.correlated_noise import (
     POSE,
     PoseNoise,
+    compare_with_equal,
     likeliest_noise,
     standardisers,
-    support,
 )
 
 #: The most rounds of noise and fit.
@@ -85,8 +85,8 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
         estimate: The estimate of a fit.
 
     Returns:
-        What `support` gives, and what it would give if residuals were as the covariances and a usual robot say; None
-        if no pose has a covariance, or too few degrees of freedom are left.
+        What `compare_with_equal` gives, and what it would give if residuals were as the covariances and a usual robot
+        say; None if no pose has a covariance, or too few degrees of freedom are left.
     """
     evidence = _evidence(estimate)
     if evidence is None:
@@ -94,8 +94,8 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
     stated, by_joints, squares, weights = evidence
     as_stated = USUAL_POSE_NOISE.covariances(stated, by_joints)
     return (
-        support(stated, by_joints, squares, weights, USUAL_POSE_NOISE),
-        support(stated, by_joints, as_stated, weights, USUAL_POSE_NOISE),
+        compare_with_equal(stated, by_joints, squares, weights, USUAL_POSE_NOISE),
+        compare_with_equal(stated, by_joints, as_stated, weights, USUAL_POSE_NOISE),
     )
 
 
