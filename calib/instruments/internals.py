@@ -141,7 +141,7 @@ def _owners(
     numbers: Integers,
     described: Mapping[str, object],
 ) -> list[_Owner]:
-    """Group the stations that occur, by their numbers, by their camera, or targets by their board.
+    """Group the stations that occur, by the numbers of n rows, (n,), by their camera, or targets by their board.
 
     One that is described without a name is that of all that have none of their own: a camera that was moved to several
     stations, or a board that was moved to several places.

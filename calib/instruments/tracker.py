@@ -140,7 +140,7 @@ class TrackerInstrument(Instrument):
         return replace(table, targets=tuple(targets), groups=(group,) * len(targets))
 
     def predict(self, T_frame_target: Array) -> Array:
-        """Predict what is read, shape (n, k), in the order of the numbers of the kind."""
+        """Predict the k readings of the kind, shape (n, k), at n poses T_frame_target, (n, 4, 4) [m]."""
         return self.kind.readings_at(T_frame_target)
 
     def whitened(

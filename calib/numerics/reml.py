@@ -103,7 +103,19 @@ def prior_std_by_reml(
         diagonals(information)[...] += log_precision
         stopped_low = (before <= lowest) & (score < 0)
         stopped_high = (before >= highest[moving]) & (score > 0)
-        step = _scoring_step(score, information, stopped_low | stopped_high)
+        at_bound = stopped_low | stopped_high
+
+        # A damped Newton step, limited; 0 for what is at its bound.
+        score[at_bound] = 0.0
+        pivots = diagonals(information)
+        pivots += _DAMPING * pivots + _LEAST_DAMPING
+        information[at_bound[:, :, None] | at_bound[:, None]] = 0.0
+        pivots[at_bound] = 1.0
+        newton_step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
+        step = np.clip(newton_step, -_STEP_DOWN, _STEP_UP)
+        # A prior standard deviation that vanishes may be arbitrarily small: its steps do not raise the likelihood.
+        rise = np.sum(step * score, axis=1)
+        step[np.abs(rise) < _NO_RISE] = 0.0
         # The expected information may be too small by half: then full steps overshoot, to and fro.
         step = np.where(step * last_step[moving] < 0.0, 0.5 * step, step)
         after = np.clip(before + step, lowest, highest[moving])
@@ -115,21 +127,6 @@ def prior_std_by_reml(
             break
     values = np.exp(logs)
     return values[:, :C], values[:, C:]
-
-
-def _scoring_step(score: Array, information: Array, at_bound: Mask) -> Array:
-    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True."""
-    score[at_bound] = 0.0
-    pivots = diagonals(information)
-    pivots += _DAMPING * pivots + _LEAST_DAMPING
-    information[at_bound[:, :, None] | at_bound[:, None]] = 0.0
-    pivots[at_bound] = 1.0
-    newton_step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
-    step = np.clip(newton_step, -_STEP_DOWN, _STEP_UP)
-    # A prior standard deviation that vanishes may be arbitrarily small: its steps do not raise the likelihood.
-    rise = np.sum(step * score, axis=1)
-    step[np.abs(rise) < _NO_RISE] = 0.0
-    return np.asarray(step)
 
 
 def score_and_information(

@@ -141,7 +141,10 @@ class LinearProblem(Value):
         return equations
 
     def _weighted_products(self, root_weights: Array, of_channel: Mask) -> Array:
-        """The products [A r]^T W [A r] over the scalars of one channel, (D, N), for B fits, (B, p + 1, p + 1)."""
+        """The products [A r]^T W [A r] over the scalars of one channel, for B fits, shape (B, p + 1, p + 1).
+
+        W has the weights of the rows, whose roots are given, (B, N), for the scalars of the channel, True in (D, N).
+        """
         with_any = np.flatnonzero(of_channel.any(axis=1))
         first = with_any.min(initial=len(of_channel))
         last = with_any.max(initial=-1)

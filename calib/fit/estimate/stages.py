@@ -137,11 +137,20 @@ class Stage:
         return GaussianPriors(of_families + self.prior.precision, self.prior.mean)
 
     def fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit the linearised problem at this stage's weights, noise and priors: see `LinearProblem.fit`."""
+        """Fit the linearised problem at this stage's weights, noise and priors.
+
+        Returns:
+            Of B fits the parameters x, shape (B, p), their covariance, (B, p, p), and the degrees of freedom left for
+            the noise, (B,): see `LinearProblem.fit`.
+        """
         return linear.fit(self.effective, self.stop_shares, self.noise, self.priors)
 
     def scoring_fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent."""
+        """Fit for the scores of single rows: with covariance and freedom as if all rows were independent.
+
+        Returns:
+            As `fit`: x, shape (B, p), its covariance, (B, p, p), and the degrees of freedom, (B,).
+        """
         x, covariance, freedom = self.fit(linear)
         if np.any(self.stop_shares):
             independent = replace(self, stop_shares=np.zeros(self.stop_shares.shape))
@@ -284,7 +293,7 @@ class Stage:
         return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
 
     def select(self, fits: Integers) -> Stage:
-        """Return the stage of some of the B fits, by their indices."""
+        """Return the stage of n of the B fits, by their indices, shape (n,)."""
         return replace(
             self,
             kept=self.kept[fits],
@@ -296,7 +305,7 @@ class Stage:
         )
 
     def updated(self, fits: Integers, new: Stage) -> Stage:
-        """Return the stage with some of the B fits, by their indices, replaced by those of a stage of these alone."""
+        """Return the stage with n of the B fits, by their indices, (n,), replaced by a stage of these n alone."""
 
         def updated(values: Array, new_values: Array) -> Array:
             """A copy of an array of all fits with those of the fits to replace."""

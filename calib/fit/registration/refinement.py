@@ -139,7 +139,8 @@ def _system(
 ) -> tuple[Array, Array]:
     """The residual of a registration, (M,), and its derivative by x, (M, p), in units of each scalar's sigma.
 
-    The p parameters x [m, rad] of the model are of frames and targets alone, and displace those of ``setup``.
+    The p parameters x, (p,) [m, rad], of the model are of frames and targets alone, and displace those of ``setup``.
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
     """
     displacement, directions = model.displacements(x)
     displaced = setup.displaced(displacement)

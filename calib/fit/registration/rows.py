@@ -405,7 +405,7 @@ class Rows:
     def _internals_at(
         self, kind: Kind, rows: Integers | slice, sightings: Sightings
     ) -> InternalValues | None:
-        """Internals of the instrument at the n rows of one kind; None if it has none."""
+        """Internals of the instrument at the n rows of one kind, by their numbers, (n,); None if it has none."""
         if kind.internals is None:
             return None
         if sightings.internals is not None:

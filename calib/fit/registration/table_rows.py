@@ -133,7 +133,8 @@ def _repeats(
 ) -> Integers:
     """Number the rows so that repeats, of one pose, frame, target, point of it and kind, have one number, shape (N,).
 
-    Repeats of a pair repeat both its rows.
+    The robot's pose of each row, its kind, and the second row of its pair (-1 for none) are numbers, (N,). Repeats of a
+    pair repeat both its rows.
     """
     poses = int(pose.max(initial=-1)) + 1
     if poses == len(pose):
@@ -150,7 +151,10 @@ def _repeats(
 
 
 def _measured(measurements: Measurements, kinds: tuple[Kind, ...], kind_of_row: Integers) -> Array:
-    """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings."""
+    """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings.
+
+    Each row has a kind, by its index, (N,), or `NONE`; K is the size of the largest.
+    """
     size = max((kind.size for kind in kinds), default=0)
     result = np.zeros((len(measurements), size))
     for k, kind in enumerate(kinds):

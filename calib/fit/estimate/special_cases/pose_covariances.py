@@ -24,7 +24,6 @@ from calib.fit.registration.rows import USUAL_POSE_NOISE, Rows
 from calib.model.kinematics import Kinematics
 from calib.numerics.correlated_noise import (
     POSE,
-    PoseNoise,
     compare_with_equal,
     likeliest_noise,
     standardisers,
@@ -70,10 +69,19 @@ def settle_pose_noise(
         if evidence is None:
             break
         noise = likeliest_noise(*evidence, USUAL_POSE_NOISE)
-        is_settled = _is_settled(problem.rows, noise)
-        problem = problem.with_rows(replace(problem.rows, pose_noise=noise))
+
+        # The relative change of the rows' covariances in every direction.
+        rows = problem.rows
+        assert rows.covariances is not None
+        assert rows.by_joints is not None
+        given = rows.covariances[rows.correlated], rows.by_joints[rows.correlated]
+        W = standardisers(rows.pose_noise.covariances(*given))
+        relative = W @ noise.covariances(*given) @ W.transpose(0, 2, 1)
+        change = np.max(np.abs(np.linalg.eigvalsh(relative) - 1.0))
+
+        problem = problem.with_rows(replace(rows, pose_noise=noise))
         estimate = estimate_within_bounds(problem, task, prior)
-        if is_settled:
+        if change <= _SETTLED:
             break
     return estimate
 
@@ -100,9 +108,10 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
 
 
 def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
-    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.correlated_noise`.
+    """Return C [m^2, m rad, rad^2], J_q J_q^T [m^2, m, 1] and S, as C, (n, 6, 6) each, and weights, (n,), of n poses.
 
-    None if there are none, or too few degrees of freedom are left.
+    They are those of `calib.numerics.correlated_noise`, of the poses with a covariance that the fit used and others
+    check; None if there are none, or too few degrees of freedom are left.
     """
     problem = estimate.problem
     rows = problem.rows
@@ -116,13 +125,3 @@ def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
     spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
     squares = r[:, :, None] * r[:, None] + spread
     return rows.covariances[chosen], rows.by_joints[chosen], squares, problem.weights[chosen]
-
-
-def _is_settled(rows: Rows, noise: PoseNoise) -> bool:
-    """True if the covariances of rows hardly change with another noise of poses."""
-    assert rows.covariances is not None
-    assert rows.by_joints is not None
-    given = rows.covariances[rows.correlated], rows.by_joints[rows.correlated]
-    W = standardisers(rows.pose_noise.covariances(*given))
-    relative = W @ noise.covariances(*given) @ W.transpose(0, 2, 1)
-    return bool(np.max(np.abs(np.linalg.eigvalsh(relative) - 1.0)) <= _SETTLED)
