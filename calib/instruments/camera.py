@@ -360,7 +360,19 @@ class CameraInstrument(Instrument):
     def whitened(
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
-        """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); zero if no corner is seen."""
+        """Differentiate the images of the board's corners by the parameters, whitened by the noise.
+
+        Args:
+            T_frame_target: shape (n, 1, 4, 4), poses of the board in the camera [m].
+            twists: shape (n, 1, 6, p), motion of the board along the camera's axes by each parameter, linear then
+                angular.
+            noise: shape (n,), standard deviation of a coordinate of an image [px].
+            model: The p parameters, with those of lens and print.
+
+        Returns:
+            shape (n, k, p), k combinations of the images' coordinates whose errors are independent and of variance 1;
+            zero if no corner is seen.
+        """
         own = [(number, parameter.internal) for number, parameter in model.internals]
         numbers = [number for number, _ in own]
         columns = [column for _, column in own if column is not None]

@@ -146,7 +146,10 @@ class TrackerInstrument(Instrument):
     def whitened(
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
-        """Differentiate what is measured of all targets at a stop, shape (n, k D, p); target by target.
+        """Differentiate the D scalars of each of k targets at n stops by p parameters, shape (n, k D, p), by target.
+
+        The targets are at T_frame_target, (n, k, 4, 4) [m], and move by the twists, (n, k, 6, p), of the parameters of
+        the model; the noise is of a coordinate at each stop, (n,) [m].
 
         With the noise s of a coordinate, the repeatability r of the robot is a part of s that all k targets of one stop
         share. The mean of their coordinates then has the variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2: the mean

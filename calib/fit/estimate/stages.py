@@ -70,9 +70,14 @@ class Weighting:
 
     @classmethod
     def of(cls, repeats: str, robust: bool, rows: Rows) -> Weighting:
-        """Return the treatment that a cell and task ask for, or, if the rows come with weights, to keep these.
+        """Return the treatment that is asked for; if the rows come with weights, one that keeps these.
 
-        Repeats are already shared out in the weights that rows come with.
+        Repeats are already shared out in such weights.
+
+        Args:
+            repeats: How a cell treats them: "independent", "average" or "weighted".
+            robust: Whether outliers are to lose their weight.
+            rows: N rows of measurements.
         """
         if rows.weights is None:
             return cls(repeats, robust, 1.0)

@@ -50,7 +50,7 @@ _MOST_ALTERNATIVES = 3
 
 
 def model_name(geometry: str, families: tuple[str, ...]) -> str:
-    """Return the name of a geometry with families."""
+    """Return the name of a geometry of the ladder with families: ``"dh+gain"`` of ``"dh"`` and ``("gain",)``."""
     return "+".join((geometry, *families))
 
 
