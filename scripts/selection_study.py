@@ -41,7 +41,7 @@ from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.selection.reference_fit import with_better_weights
+from calib.fit.selection.row_weights import with_better_weights
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.result.table_fits import fit_table

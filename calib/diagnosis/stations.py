@@ -16,8 +16,8 @@ from calib.basics.arrays import Array, Mask
 from calib.diagnosis.patterns import range_of
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
-from calib.fit.registration.known_distances import joined_stations
-from calib.fit.selection.held_out import seen_only_by
+from calib.fit.registration.labels import joined_stations
+from calib.fit.selection.folds import seen_only_by
 from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.repeats import pose_means
 

@@ -198,7 +198,10 @@ class CameraInstrument(Instrument):
         return replace(cell, kind=PIXEL, cameras={"": self.camera}, boards={"": board})
 
     def stops(self, q: Array) -> Array:
-        """Return the joint values of images (n, m), each once, in order: a table (N, m) has many rows for an image."""
+        """Return the joint values of n images, shape (n, m) [rad or m], each once of those of N rows, (N, m).
+
+        A table of corners has many rows for an image.
+        """
         _, first = np.unique(q, axis=0, return_index=True)
         return np.asarray(q[np.sort(first)])
 
@@ -215,19 +218,19 @@ class CameraInstrument(Instrument):
                 yield Condition(reason, _along(sightline, passes))
 
     def in_focus(self, T_camera_board: Array) -> Mask:
-        """Test at poses (N, 4, 4) [m] whether the distance of the board's centre is within the limits, shape (N,)."""
+        """Test whether the board's centre is between the limits of distance at N poses (N, 4, 4) [m], shape (N,)."""
         distance = self.board_distances(T_camera_board)
         nearest, farthest = self._distances
         return np.asarray((distance >= nearest) & (distance <= farthest))
 
     def is_facing(self, T_camera_board: Array) -> Mask:
-        """Test at poses (N, 4, 4) [m] whether the camera sees the board's front, and not too slanted, shape (N,)."""
+        """Test whether the board's front is seen, and not too slanted, at N poses (N, 4, 4) [m], shape (N,)."""
         return np.asarray(board_tilts(self.board, T_camera_board) <= self.limits.tilt)
 
     def in_image(self, T_camera_board: Array) -> Mask:
-        """Test at poses (N, 4, 4) [m] whether enough of the board is in the image, shape (N,).
+        """Test whether enough of the board is in the image at N poses T_camera_board (N, 4, 4) [m], shape (N,).
 
-        Enough is the share of the corners that the limits ask for, and for a share of 1 the whole pattern.
+        Enough is the stated share of the corners, or for a share of 1 the whole pattern.
         """
         points = self.board.corners
         if self.limits.share == 1.0:
@@ -357,19 +360,43 @@ class CameraInstrument(Instrument):
     def whitened(
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
-        """Differentiate images by the parameters, whitened by the noise, shape (n, k, p); zero if no corner is seen.
+        """Differentiate the images of the board's corners by the parameters, whitened by the noise.
 
-        k rows stand for the corners of an image: 6 motions of the board, and the numbers of lens and print that
-        ``model`` estimates. The board is the one target: its poses are (n, 1, 4, 4) [m], its twists (n, 1, 6, p).
+        Args:
+            T_frame_target: shape (n, 1, 4, 4), poses of the board in the camera [m].
+            twists: shape (n, 1, 6, p), motion of the board along the camera's axes by each parameter, linear then
+                angular.
+            noise: shape (n,), standard deviation of a coordinate of an image [px].
+            model: The p parameters, with those of lens and print.
+
+        Returns:
+            shape (n, k, p), k combinations of the images' coordinates whose errors are independent and of variance 1;
+            zero if no corner is seen.
         """
         own = [(number, parameter.internal) for number, parameter in model.internals]
         numbers = [number for number, _ in own]
         columns = [column for _, column in own if column is not None]
         by_own = np.eye(len(model))[numbers]
+        corners = len(self.internals)
         parts = []
         for start in range(0, len(T_frame_target), _AT_A_TIME):
             block = slice(start, start + _AT_A_TIME)
-            by_place = self._by_place(T_frame_target[block, 0], columns, noise[block])
+
+            # Images by the board's motion, and by the numbers of lens and print, in standard deviations of the noise;
+            # zero for corners outside of the image.
+            T = T_frame_target[block, 0]
+            T_of_corners = np.repeat(T, corners, axis=0)
+            motions = np.broadcast_to(np.eye(6), (len(T_of_corners), 6, 6))
+            by_motion, by_internals = optics.image_derivatives(
+                T_of_corners, motions, np.tile(self.internals, (len(T), 1))
+            )
+            by_place = np.concatenate([by_motion, by_internals[:, :, columns]], axis=2)
+            seen = self.visible(T, self.board.corners).reshape(-1, 1, 1)
+            sigma = np.repeat(noise[block], corners)[:, None, None]
+            by_place = np.where(seen, by_place / sigma, 0.0)
+            by_place = by_place.reshape(len(T), 2 * corners, -1)
+
+            # The repeatability of the robot moves all corners of an image together: their errors are correlated.
             R = np.asarray(np.linalg.qr(by_place, mode="r"))
             shared = self.repeatability * R[:, :, :3]
             covariance = np.eye(R.shape[1]) + shared @ shared.swapaxes(1, 2)
@@ -378,25 +405,8 @@ class CameraInstrument(Instrument):
             parts.append(L_R @ np.concatenate([twists[block, 0], unknown], axis=1))
         return np.concatenate(parts)
 
-    def _by_place(self, T: Array, columns: list[int], noise: Array) -> Array:
-        """Differentiate images by the board's motion at poses (n, 4, 4), and by ``columns`` of `calib.camera.optics`.
-
-        Shape (n, 2 c, k), in standard deviations of the noise (n,) [px]; zero for corners outside of the image.
-        """
-        corners = len(self.internals)
-        rows = np.repeat(T, corners, axis=0)
-        motions = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
-        by_motion, by_internals = optics.image_derivatives(
-            rows, motions, np.tile(self.internals, (len(T), 1))
-        )
-        by_place = np.concatenate([by_motion, by_internals[:, :, columns]], axis=2)
-        seen = self.visible(T, self.board.corners).reshape(-1, 1, 1)
-        sigma = np.repeat(noise, corners)[:, None, None]
-        by_place = np.where(seen, by_place / sigma, 0.0)
-        return np.asarray(by_place.reshape(len(T), 2 * corners, -1))
-
     def project(self, in_camera: Array) -> tuple[Array, Array]:
-        """Return the images u and v of points in the camera (..., 3) [m], shape (...) each [px]."""
+        """Return the images u and v [px], shape (...) each, of points in the camera's frame, (..., 3) [m]."""
         lens = LENSES[self.camera.lens]
         pixels = lens.project(in_camera.reshape(-1, 3), intrinsics(self.camera))
         u, v = pixels.T.reshape(2, *in_camera.shape[:-1])
@@ -410,7 +420,7 @@ class CameraInstrument(Instrument):
 
 
 def _along(sightline: Sightline, passes: Callable[[Array], Mask]) -> Callable[[Array], Mask]:
-    """Return a test of poses of the board in the camera as one of joint values."""
+    """Return a test of N joint values (N, m) from one of the poses of the board in the camera, (N, 4, 4) [m]."""
     return lambda q: passes(sightline.target_poses(q))
 
 

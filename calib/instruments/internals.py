@@ -58,22 +58,6 @@ class _Owner:
     members: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Images:
-    """The corners in the images of a table of N rows."""
-
-    #: shape (N, 2), where their images were measured [px]; NaN in other rows
-    pixels: Array
-    #: shape (N, 3), the corners as designed, on their boards [m]; NaN in other rows
-    points: Array
-    #: shape (N,), number of each row's view: a pose, station and target
-    view: Integers
-    #: Names of the corners, in the order of their numbers
-    corners: tuple[str, ...]
-    #: shape (N,), number of each row's corner
-    corner: Integers
-
-
 def initial_internals(
     measurements: Measurements,
     cell: Cell,
@@ -102,17 +86,14 @@ def initial_internals(
     if not np.any(is_image):
         return None, ()
     assert measurements.board_points is not None
+    points = measurements.board_points
+    pixels = np.column_stack([measurements.reading("u"), measurements.reading("v")])
     frame = numbered(measurements.groups, tuple(stations))
     target = numbered(measurements.targets, tuple(targets))
-    corners, corner = number_corners(measurements)
+    corner_names, corner = number_corners(measurements)
+    # A view is what one station sees of a target at one pose.
     _, view = np.unique(np.column_stack([pose, frame, target]), axis=0, return_inverse=True)
-    images = _Images(
-        pixels=np.column_stack([measurements.reading("u"), measurements.reading("v")]),
-        points=measurements.board_points,
-        view=view.reshape(-1),
-        corners=corners,
-        corner=corner,
-    )
+    view = view.reshape(-1)
 
     values = np.zeros((len(measurements), optics.COUNT))
     unknowns: list[InternalUnknown] = []
@@ -126,17 +107,32 @@ def initial_internals(
                 "intrinsics (--camera camera_info.yaml), or the size of its images alone (--camera 1280x720): then the "
                 "images tell the rest."
             )
-        _check_size(camera, images, rows, measurements)
-        values[rows], of_lens = _camera_numbers(camera, images, rows, owner)
+        _check_size(camera, pixels, rows, measurements)
+        values[rows], of_lens = _camera_numbers(
+            camera, owner, points[rows], pixels[rows], view[rows]
+        )
         unknowns += of_lens
+
     for owner in _owners(targets, target[is_image], cell.boards):
         rows = is_image & np.isin(target, owner.members)
+        on_board = points[rows]
         board = cell.boards.get(owner.key)
-        if board is not None:
-            _check_squares(board, images, rows, measurements)
-        _fill_board(values, images, rows, board)
+        if board is None:
+            # The extent of a board of which nothing is given is that of the corners seen.
+            least = on_board.min(axis=0)
+            most = on_board.max(axis=0)
+            centre = (least + most) / 2.0
+            width, height = np.maximum(most - least, 1e-6)[:2].tolist()
+        else:
+            names = [corner_names[k] for k in corner[rows].tolist()]
+            _check_squares(board, names, on_board, measurements)
+            centre = board.centre
+            width, height = board.size
+        values[rows, optics.POINT] = on_board
+        values[rows, optics.ACROSS] = optics.across(on_board, centre, (width, height))
+        values[rows, optics.CORNER] = corner[rows]
         values[rows, optics.BOARD] = owner.number
-        unknowns += _board_unknowns(board or _UNKNOWN_BOARD, images, rows, owner)
+        unknowns += _board_unknowns(board or _UNKNOWN_BOARD, owner, corner_names, corner[rows])
     return read_only(values), tuple(unknowns)
 
 
@@ -145,7 +141,7 @@ def _owners(
     numbers: Integers,
     described: Mapping[str, object],
 ) -> list[_Owner]:
-    """Group the stations whose ``numbers`` occur in rows by their camera, or targets by their board.
+    """Group the stations that occur, by the numbers of n rows, (n,), by their camera, or targets by their board.
 
     ``place_by_name`` has all stations or targets with their places in the error model, in the order of their numbers,
     and ``described`` the cameras or boards of the cell.
@@ -185,18 +181,15 @@ def number_corners(measurements: Measurements) -> tuple[tuple[str, ...], Integer
     return present, numbered(names, present)
 
 
-def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse corners outside of the images in a camera's rows, a mask (N,), and intrinsics of another resolution.
-
-    Raises MeasurementError.
-    """
+def _check_size(camera: Camera, pixels: Array, rows: Mask, measurements: Measurements) -> None:
+    """Refuse corners, (N, 2) [px], outside of the images of a camera's rows, (N,), and intrinsics for other images."""
     source = measurements.source or "Measurements"
     size = np.array([camera.width, camera.height])
-    beyond = np.maximum(-images.pixels, images.pixels - size)
+    beyond = np.maximum(-pixels, pixels - size)
     outside = rows & np.any(beyond > _BESIDE * camera.width, axis=1)
     if np.any(outside):
         first = int(np.argmax(outside))
-        u, v = images.pixels[first]
+        u, v = pixels[first]
         raise MeasurementError(
             f"{source}, row {measurements.rows[first]}: the corner at u = {u:.1f}, v = {v:.1f} px is outside of images "
             f"of {camera.width} x {camera.height}, the size given of the camera. Give the size of the images in which "
@@ -213,18 +206,15 @@ def _check_size(camera: Camera, images: _Images, rows: Mask, measurements: Measu
         )
 
 
-def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Measurements) -> None:
-    """Refuse corners, in a board's rows, a mask (N,), that are further apart or nearer than described, by one factor.
-
-    Raises MeasurementError. Names that are not numbers of the board's corners are not checked.
-    """
-    names = [images.corners[k] for k in images.corner[rows].tolist()]
+def _check_squares(
+    board: Board, names: list[str], points: Array, measurements: Measurements
+) -> None:
+    """Refuse a table whose n named corners of a board, (n, 3) [m], lie further apart, or nearer, by one factor."""
     if not all(name.isdecimal() and int(name) < len(board.corners) for name in names):
         return  # the names are not those of calib: they may be of other places
     designed = board.corners[[int(name) for name in names]]
     far_designed = np.linalg.norm(designed - designed.mean(axis=0), axis=1)
-    given = images.points[rows]
-    far = np.linalg.norm(given - given.mean(axis=0), axis=1)
+    far = np.linalg.norm(points - points.mean(axis=0), axis=1)
     extent = float(far_designed @ far_designed)
     if extent < _NO_EXTENT:
         return  # always the same corner
@@ -239,28 +229,27 @@ def _check_squares(board: Board, images: _Images, rows: Mask, measurements: Meas
 
 
 def _camera_numbers(
-    camera: Camera, images: _Images, rows: Mask, owner: _Owner
+    camera: Camera, owner: _Owner, points: Array, pixels: Array, view: Integers
 ) -> tuple[Array, list[InternalUnknown]]:
     """Return the numbers of a camera's n rows before the fit, (n, `optics.COUNT`), and the unknowns of its lens.
 
-    ``rows`` is the mask (N,) of the camera's rows. Unknown intrinsics start at values that fit the images, or raise
-    MeasurementError; what is exact is not an unknown.
+    The rows show corners of boards as designed, (n, 3) [m], at pixels, (n, 2) [px], in numbered views, (n,).
     """
     lens = LENSES[camera.lens]
     widest = np.array([_WIDE[unit] for unit in lens.units])
     start = camera.values
     if start is None:
         views = []
-        for view in np.unique(images.view[rows]).tolist():
-            of_view = rows & (images.view == view)
-            views.append((images.points[of_view], images.pixels[of_view]))
+        for number in np.unique(view).tolist():
+            of_view = view == number
+            views.append((points[of_view], pixels[of_view]))
         start = initial_intrinsics(camera, views)
         sigma = widest
     elif camera.sigma is None:
         sigma = lens.default_sigma(start, camera.width)
     else:
         sigma = np.minimum(camera.sigma, widest)
-    values = np.zeros((int(np.sum(rows)), optics.COUNT))
+    values = np.zeros((len(points), optics.COUNT))
     values[:, : len(start)] = start
     values[:, optics.CAMERA] = owner.number
     values[:, optics.LENS] = list(LENSES).index(camera.lens)
@@ -272,32 +261,12 @@ def _camera_numbers(
     return values, unknowns
 
 
-def _fill_board(values: Array, images: _Images, rows: Mask, board: Board | None) -> None:
-    """Set the corners of a board's rows, (N,), as designed, in ``values``, (N, `optics.COUNT`).
-
-    The extent of a board of which nothing is given (None) is that of the corners seen.
-    """
-    points = images.points[rows]
-    least = points.min(axis=0)
-    most = points.max(axis=0)
-    centre = (least + most) / 2.0
-    width, height = np.maximum(most - least, 1e-6)[:2].tolist()
-    if board is not None:
-        centre = board.centre
-        width, height = board.size
-    numbers = np.flatnonzero(rows)
-    values[numbers, optics.POINT] = points
-    values[numbers, optics.ACROSS] = optics.across(points, centre, (width, height))
-    values[numbers, optics.CORNER] = images.corner[rows]
-
-
 def _board_unknowns(
-    board: Board, images: _Images, rows: Mask, owner: _Owner
+    board: Board, owner: _Owner, corner_names: tuple[str, ...], corner: Integers
 ) -> list[InternalUnknown]:
-    """Return the unknowns of a board, seen in a mask (N,) of rows: scale and flatness of the print, corners' places.
+    """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places.
 
-    What the board states to be exact, by a standard deviation of 0, is left out, and so is the place of a corner that
-    too few images show.
+    The board's n rows show corners by their numbers, (n,), among all names.
     """
     result = []
     for k, axis in enumerate("xy"):
@@ -308,12 +277,12 @@ def _board_unknowns(
             sag = _parameter(f"board_sag_{axis}", "m", owner, BOARD, optics.WARP.start + k)
             result.append(InternalUnknown(sag, 0.0, board.sigma_warp))
     if board.sigma_corner > 0.0:
-        count = np.bincount(images.corner[rows], minlength=len(images.corners))
-        for corner in np.flatnonzero(count >= _FEWEST_IMAGES).tolist():
+        count = np.bincount(corner, minlength=len(corner_names))
+        for number in np.flatnonzero(count >= _FEWEST_IMAGES).tolist():
             for k, axis in enumerate("xy"):
-                name = f"corner_{images.corners[corner]}_{axis}"
+                name = f"corner_{corner_names[number]}_{axis}"
                 column = optics.OFFSET.start + k
-                offset = _parameter(name, "m", owner, BOARD, column, corner)
+                offset = _parameter(name, "m", owner, BOARD, column, number)
                 result.append(InternalUnknown(offset, 0.0, board.sigma_corner))
     return result
 

@@ -140,15 +140,16 @@ class TrackerInstrument(Instrument):
         return replace(table, targets=tuple(targets), groups=(group,) * len(targets))
 
     def predict(self, T_frame_target: Array) -> Array:
-        """Predict what is read, shape (n, k), in the order of the numbers of the kind."""
+        """Predict the k readings of the kind, shape (n, k), at n poses T_frame_target, (n, 4, 4) [m]."""
         return self.kind.readings_at(T_frame_target)
 
     def whitened(
         self, T_frame_target: Array, twists: Array, noise: Array, model: ErrorModel
     ) -> Array:
-        """Differentiate what is measured of k targets at a stop, D scalars each, shape (n, k D, p); target by target.
+        """Differentiate the D scalars of each of k targets at n stops by p parameters, shape (n, k D, p), by target.
 
-        The targets' poses are (n, k, 4, 4) [m], their twists (n, k, 6, p), the noise of a coordinate (n,) [m].
+        The targets are at T_frame_target, (n, k, 4, 4) [m], and move by the twists, (n, k, 6, p), of the parameters of
+        the model; the noise is of a coordinate at each stop, (n,) [m].
 
         With the noise s of a coordinate, the repeatability r of the robot is a part of s that all k targets of one stop
         share. The mean of their coordinates then has the variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2: the mean

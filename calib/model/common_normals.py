@@ -148,9 +148,10 @@ def _turn(start: Array, end: Array, *, about: Array) -> float:
 
 
 def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: bool) -> RowNumbers:
-    """Return the row, with d = 0, from a frame to a parallel axis at an offset (3,) [m] from its origin.
+    """Return the row, with d = 0, from a frame T, (4, 4), to a parallel axis at an offset, (3,) [m], from its origin.
 
-    x_i points nearest to the direction ``near``. A tilted row has a beta, for an axis that is nearly parallel.
+    Axis and offset are in the base; x_i points nearest to the direction ``near``, (3,). A tilted row has a beta, for an
+    axis that is nearly parallel.
     """
     x = T[:3, 0]
     z = T[:3, 2]
@@ -273,7 +274,7 @@ def first_frame(point: Array, axis: Array, near: Array) -> Array:
 
 
 def _across(z: Array, near: Array) -> Array:
-    """Return the unit vector across z that is nearest to another, or to base y or z where that lies along z."""
+    """Return the unit vector, (3,), across z that is nearest to another, or to base y or z if that lies along z."""
     for direction in (near, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])):
         across = direction - z * (z @ direction)
         length = np.linalg.norm(across)
@@ -286,7 +287,7 @@ def _across(z: Array, near: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the product a x b of two vectors, shape (3,); `numpy.cross`, for stacks, takes ten times as long."""
+    """Return the product a x b, (3,), of two vectors, (3,); `numpy.cross`, for stacks, takes ten times as long."""
     a0, a1, a2 = a
     b0, b1, b2 = b
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])

@@ -335,17 +335,6 @@ def register(family: Family) -> None:
             a wrong shape, hardly a finite value, or a wrong slope.
     """
     check_type("family", family, Family, "a Family of calib.model.families")
-    _check_names(family)
-    _check_unit(family, "unit", family.unit)
-    if family.sliding is not None:
-        _check_unit(family, "sliding", family.sliding)
-    for factor in family.factors:
-        _check_functions(factor)
-    _REGISTRY[family.name] = family
-
-
-def _check_names(family: Family) -> None:
-    """Refuse a family without factors, and names that are taken, occur twice, or have characters that names cannot."""
     where = f"The family '{family.name}'"
     if not family.factors:
         raise ModelError(f"{where} has no factors; give one Factor for each parameter of a joint.")
@@ -366,6 +355,13 @@ def _check_names(family: Family) -> None:
                 f"{where}: the name of its factor '{name}' is taken; give each factor one of its own, other than "
                 f"{choices(taken, 60)}."
             )
+
+    _check_unit(family, "unit", family.unit)
+    if family.sliding is not None:
+        _check_unit(family, "sliding", family.sliding)
+    for factor in family.factors:
+        _check_functions(factor)
+    _REGISTRY[family.name] = family
 
 
 def _check_unit(family: Family, field: str, unit: Unit) -> None:

@@ -90,7 +90,7 @@ class InternalValues(Value):
         return cls(values, np.full(values.shape, FIXED))
 
     def select(self, rows: Integers | slice) -> InternalValues:
-        """Return the internals of some of the rows, by their indices or a slice."""
+        """Return the internals of some of the n rows, by their indices, shape (k,), or a slice."""
         return InternalValues(self.values[rows], self.parameter[rows])
 
     def add_derivative(self, jacobian: Array, by_internals: Array) -> None:

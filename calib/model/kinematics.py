@@ -55,7 +55,7 @@ class Samples(Value):
         return len(self.q)
 
     def select(self, chosen: Mask | Integers | slice) -> Samples:
-        """Return some of the samples: a mask, their indices, or a slice."""
+        """Return some of the N samples: a mask, shape (N,), their indices, or a slice."""
         load = None if self.load is None else self.load[chosen]
         internals = None if self.internals is None else self.internals[chosen]
         return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load, internals)
@@ -178,7 +178,7 @@ class Kinematics(Value):
         return Sightings(poses, twists, self.internals(x, samples))
 
     def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
-        """Return all placements displaced by x, and the twist of a unit of each parameter there."""
+        """Return all placements displaced by the parameters x, (p,), and the twist of a unit of each of them there."""
         displacements, twists = self.model.displacements(x)
         twists = twists.reshape(len(displacements), 6, -1)
         first = len(self.T_frame_base)
@@ -194,7 +194,7 @@ class Kinematics(Value):
         return geometry, directions
 
     def _chain_samples(self, x: Array, samples: SamplesOrValues) -> kernel.ChainSamples:
-        """Return the chain's joint values with the joints' own errors at x, and their derivative by the parameters."""
+        """Return the chain's joint values with the joints' own errors at x, (p,), and their derivative by x."""
         if not isinstance(samples, Samples):
             samples = Samples.at(samples)
         values = self.robot.chain_values(samples.q)

@@ -112,12 +112,17 @@ def likeliest_noise(
     return noise
 
 
-def support(
+def compare_with_equal(
     stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
 ) -> float:
     """Compare the likelihood of stated covariances with that of equal ones, each at its likeliest noise.
 
-    It takes what `likeliest_noise` takes.
+    Args:
+        stated: C, shape (n, 6, 6) [m^2, m rad, rad^2].
+        by_joints: J_q J_q^T, shape (n, 6, 6) [m^2, m, 1].
+        squares: S, shape (n, 6, 6), expected products of the errors' components [m^2, m rad, rad^2].
+        weights: shape (n,), how much each row counts.
+        start: Where the searches for the likeliest noise begin.
 
     Returns:
         Log-likelihood with C less that with uncorrelated errors of equal variances in all rows. It is positive if C
@@ -134,7 +139,7 @@ def support(
 def _likeliest(
     stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
 ) -> tuple[PoseNoise, float]:
-    """Return the noise as `likeliest_noise` does, and the least value of the sum at the head of this module."""
+    """Return the noise by what `likeliest_noise` takes, as it does, and the least value of the module's sum."""
     begin = [start.scale, start.position, start.orientation, start.joint]
     of_position = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     of_orientation = np.eye(POSE) - of_position

@@ -103,7 +103,19 @@ def prior_std_by_reml(
         diagonals(information)[...] += log_precision
         stopped_low = (before <= lowest) & (score < 0)
         stopped_high = (before >= highest[moving]) & (score > 0)
-        step = _scoring_step(score, information, stopped_low | stopped_high)
+        at_bound = stopped_low | stopped_high
+
+        # A damped Newton step, limited; 0 for what is at its bound.
+        score[at_bound] = 0.0
+        pivots = diagonals(information)
+        pivots += _DAMPING * pivots + _LEAST_DAMPING
+        information[at_bound[:, :, None] | at_bound[:, None]] = 0.0
+        pivots[at_bound] = 1.0
+        newton_step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
+        step = np.clip(newton_step, -_STEP_DOWN, _STEP_UP)
+        # A prior standard deviation that vanishes may be arbitrarily small: its steps do not raise the likelihood.
+        rise = np.sum(step * score, axis=1)
+        step[np.abs(rise) < _NO_RISE] = 0.0
         # The expected information may be too small by half: then full steps overshoot, to and fro.
         step = np.where(step * last_step[moving] < 0.0, 0.5 * step, step)
         after = np.clip(before + step, lowest, highest[moving])
@@ -115,24 +127,6 @@ def prior_std_by_reml(
             break
     values = np.exp(logs)
     return values[:, :C], values[:, C:]
-
-
-def _scoring_step(score: Array, information: Array, at_bound: Mask) -> Array:
-    """Return the damped Newton step (B, C + K) of the logarithms, limited, and 0 where ``at_bound`` is True.
-
-    ``score`` (B, C + K) and ``information`` (B, C + K, C + K), as of `score_and_information`, are changed in place.
-    """
-    score[at_bound] = 0.0
-    pivots = diagonals(information)
-    pivots += _DAMPING * pivots + _LEAST_DAMPING
-    information[at_bound[:, :, None] | at_bound[:, None]] = 0.0
-    pivots[at_bound] = 1.0
-    newton_step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
-    step = np.clip(newton_step, -_STEP_DOWN, _STEP_UP)
-    # A prior standard deviation that vanishes may be arbitrarily small: its steps do not raise the likelihood.
-    rise = np.sum(step * score, axis=1)
-    step[np.abs(rise) < _NO_RISE] = 0.0
-    return np.asarray(step)
 
 
 def score_and_information(
@@ -163,7 +157,13 @@ def score_and_information(
     score = np.empty(logs.shape)
     information = np.empty((*logs.shape, logs.shape[1]))
     score[:, :C] = data.residual_square(mean) / np.square(noise) + traces - data.count
-    information[:, :C, :C] = _information_of_noise(HC, traces, data.count)
+    # Of log noise: 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal.
+    B, _, p, _ = HC.shape
+    flat = HC.reshape(B, C, p * p)
+    flat_transposed = HC.swapaxes(2, 3).reshape(B, C, p * p)
+    of_noise = 2.0 * (flat @ flat_transposed.swapaxes(1, 2))
+    diagonals(of_noise)[...] += 2.0 * (data.count - 2.0 * traces)
+    information[:, :C, :C] = of_noise
     if len(members):
         squares = (mean**2 + diagonals(covariance)) @ members.T
         score[:, C:] = squares / prior_std**2 - members.sum(axis=1)
@@ -183,17 +183,3 @@ def score_and_information(
         diagonals(reduction)[...] += root > 0.0
         information[:, C:, C:] = 2.0 * (members @ reduction**2 @ members.T)
     return score, information
-
-
-def _information_of_noise(HC: Array, traces: Array, count: Array) -> Array:
-    """Return the expected information of log noise, shape (B, C, C), by H_c C / sigma_c^2, shape (B, C, p, p).
-
-    It is 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal, with the
-    ``traces`` tr(H_c C) / sigma_c^2 and the ``count`` N_c, shape (B, C) each.
-    """
-    B, C, p, _ = HC.shape
-    flat = HC.reshape(B, C, p * p)
-    flat_transposed = HC.swapaxes(2, 3).reshape(B, C, p * p)
-    result = 2.0 * (flat @ flat_transposed.swapaxes(1, 2))
-    diagonals(result)[...] += 2.0 * (count - 2.0 * traces)
-    return np.asarray(result)

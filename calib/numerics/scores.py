@@ -102,7 +102,7 @@ def deleted_norms(
     norms = np.empty(weights.shape)
 
     def work(rows: slice) -> None:
-        """Fill in the norms of a block of rows, in all fits."""
+        """Fill in the norms of some of the rows, by the leverage K of each."""
         A = jacobian[rows]
         f = factors[:, rows]
         n, D, p = A.shape

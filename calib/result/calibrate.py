@@ -23,7 +23,7 @@ from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
-from calib.fit.selection.robustness import compare_weights
+from calib.fit.selection.row_weights import compare_weights
 from calib.model.parameters import Parameter
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import scatter_of_repeats

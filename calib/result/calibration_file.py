@@ -33,7 +33,7 @@ from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError, PluginError
 from calib.fit.registration.setup import Setup
 from calib.fit.selection.candidates import Candidate
-from calib.fit.selection.robustness import Robustness
+from calib.fit.selection.row_weights import Robustness
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability

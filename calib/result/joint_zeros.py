@@ -21,7 +21,7 @@ from calib.basics.values import Value, keep_read_only
 from calib.errors import CalibError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.rows import Rows
-from calib.fit.selection.linear_folds import linear_cross_validation
+from calib.fit.selection.cross_validation import linear_cross_validation
 from calib.result.table_fits import TableFits
 from calib.robot.robot import Robot
 

@@ -17,7 +17,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.selection.candidates import Candidate
-from calib.fit.selection.robustness import Robustness
+from calib.fit.selection.row_weights import Robustness
 from calib.model.observability import Observability
 from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors

@@ -1,7 +1,7 @@
 """The fits of a calibration: of the geometry, which the URDF holds, and of a non-geometric model if needed.
 
 The geometry is fitted with the weights of a reference fit if these predict held-out rows better, see
-`calib.fit.selection.reference_fit`: with those of the non-geometric model if there is one.
+`calib.fit.selection.row_weights`: with those of the non-geometric model if there is one.
 """
 
 from __future__ import annotations
@@ -24,13 +24,11 @@ from calib.diagnosis.usual_mistakes import (
 )
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
-from calib.fit.registration.known_distances import known_distances
 from calib.fit.registration.rows import Rows
-from calib.fit.registration.setup import Setup
+from calib.fit.registration.setup import Setup, known_distances
 from calib.fit.registration.table_rows import joint_loads, rows_and_setup
-from calib.fit.selection.candidates import Candidate
-from calib.fit.selection.ladder import check_parameter_names
-from calib.fit.selection.reference_fit import fit_with_all_families, with_better_weights
+from calib.fit.selection.candidates import Candidate, check_parameter_names
+from calib.fit.selection.row_weights import fit_with_all_families, with_better_weights
 from calib.fit.selection.selection import select
 from calib.model.error_model import OWN, split_name
 from calib.model.parameters import Parameter

@@ -228,7 +228,7 @@ def add_columns(columns: Array, moves: Array, twists_at: Array, place: Numbers) 
         columns[first:last, :, seeing] += part.reshape(last - first, *seen_moves.shape[1:])
 
 
-def carried(frames: Array, T: Array, place: Numbers) -> Array:
+def carry_frames(frames: Array, T: Array, place: Numbers) -> Array:
     """Return the next frames: frames times the placement that belongs to each sample.
 
     Args:
@@ -298,7 +298,7 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
             moved_joint[2:] = frame[2:]
         moved = moved_joint
     np.matmul(steps[n].T, moved.reshape(4, -1), out=frames[n + 1].reshape(4, -1))
-    frames[n + 2] = carried(frames[n + 1], geometry.targets, samples.target[block])
+    frames[n + 2] = carry_frames(frames[n + 1], geometry.targets, samples.target[block])
     return frames
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
-from calib.fit.selection.linear_folds import linear_cross_validation
+from calib.fit.selection.cross_validation import linear_cross_validation
 from calib.result.calibrate import calibrate
 from calib.result.calibration_file import read_result, write_result
 from calib.result.joint_zeros import (

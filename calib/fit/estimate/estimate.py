@@ -151,7 +151,8 @@ def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) 
     """The solution, (p,), with changes of the robot that are mere traces of the priors set to zero.
 
     A trace is an offset of a length or angle of the robot below `_NOTHING`, or below the share `_TRACE` of its standard
-    deviation. Frames and targets change by least squares so that the predictions stay.
+    deviation, by the covariance of the solution, (p, p). Frames and targets change by least squares so that the
+    predictions stay.
     """
     model, x = problem.kinematics.model, linear.x
     of_setup = model.family(FRAME, TARGET)

@@ -1,7 +1,7 @@
 """One fit: frames and targets are registered, then all parameters are estimated from there.
 
-`fit` registers (`calib.fit.registration`), makes the `Problem`, and estimates: within bounds (`bounds`), in stages that
-alternate with solves (`solving`, `stages`), or by the paper's algorithm (`paper_estimate`). What some tables need
+`fit` registers (`calib.fit.registration`), makes the `Problem`, and estimates: within bounds, in stages that alternate
+with solves (`solving`, `stages`), or by the paper's algorithm (`paper_estimate`). What some tables need
 besides is in `special_cases`.
 """
 
@@ -15,11 +15,11 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.jobs import one_blas_thread
 from calib.basics.values import Value
 from calib.errors import MeasurementError, ModelError
-from calib.fit.estimate.bounds import estimate_within_bounds
 from calib.fit.estimate.estimate import Estimate
 from calib.fit.estimate.paper_estimate import paper_estimate, paper_start
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.solving import estimate_within_bounds
 from calib.fit.estimate.special_cases.pose_covariances import settle_pose_noise, with_joint_errors
 from calib.fit.estimate.special_cases.sole_postures import mark_sole_postures
 from calib.fit.estimate.task import Task
@@ -210,8 +210,13 @@ def fit(
     kinematics = Kinematics(task.robot, model, registered.T_frame_base, registered.T_tip_target)
     rows = with_joint_errors(rows, kinematics)
     problem = Problem.initial(kinematics, rows, task.distances).with_size_held()
-    estimator = _estimate if task.has_weights_and_priors else paper_estimate
-    estimate = estimator(problem, task, registered)
+    if task.has_weights_and_priors:
+        prior = PriorTerms.of(task, model, registered)
+        problem = mark_sole_postures(problem, prior)
+        estimate = estimate_within_bounds(problem, task, prior)
+        estimate = settle_pose_noise(estimate, problem, task, prior)
+    else:
+        estimate = paper_estimate(problem, task, registered)
 
     if reference is not None:
         estimate = replace(
@@ -221,11 +226,3 @@ def fit(
             flag_limit=reference.estimate.flag_limit,
         )
     return Fitted(task, registered, kinematics, estimate)
-
-
-def _estimate(problem: Problem, task: Task, registered: Setup) -> Estimate:
-    """Estimate all parameters by weighted least squares with priors, and the weights, noise and priors themselves."""
-    prior = PriorTerms.of(task, problem.kinematics.model, registered)
-    problem = mark_sole_postures(problem, prior)
-    estimate = estimate_within_bounds(problem, task, prior)
-    return settle_pose_noise(estimate, problem, task, prior)

@@ -111,13 +111,8 @@ class LinearProblem(Value):
         for of_weights, of_shares, equations in self._cache:
             if np.array_equal(of_weights, weights) and np.array_equal(of_shares, stop_shares):
                 return equations
-        equations = self._sum_normal_equations(weights, stop_shares)
-        latest = (weights.copy(), stop_shares.copy(), equations)
-        self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
-        return equations
 
-    def _sum_normal_equations(self, weights: Array, stop_shares: Array) -> NormalEquations:
-        """The normal equations of B fits by the products [A r]^T W [A r] of each channel, summed over the rows."""
+        # By the products [A r]^T W [A r] of each channel.
         size = len(self.columns)
         count = np.zeros((len(weights), len(self.smallest_noise)))
         products = np.zeros((*count.shape, size, size))
@@ -140,10 +135,16 @@ class LinearProblem(Value):
         Hx = H @ self.x
         yy = rr + (2.0 * g + Hx) @ self.x
         known = (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
-        return NormalEquations(H, g + Hx, yy, count, known, self.held, log_det)
+        equations = NormalEquations(H, g + Hx, yy, count, known, self.held, log_det)
+        latest = (weights.copy(), stop_shares.copy(), equations)
+        self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
+        return equations
 
     def _weighted_products(self, root_weights: Array, of_channel: Mask) -> Array:
-        """The products [A r]^T W [A r] over the scalars of one channel, (D, N), for B fits, (B, p + 1, p + 1)."""
+        """The products [A r]^T W [A r] over the scalars of one channel, for B fits, shape (B, p + 1, p + 1).
+
+        W has the weights of the rows, whose roots are given, (B, N), for the scalars of the channel, True in (D, N).
+        """
         with_any = np.flatnonzero(of_channel.any(axis=1))
         first = with_any.min(initial=len(of_channel))
         last = with_any.max(initial=-1)

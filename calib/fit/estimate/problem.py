@@ -33,8 +33,8 @@ from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.special_cases.arm_size import SizeGauge, find_size_gauge, measures_length
 from calib.fit.estimate.special_cases.stop_shares import PARTS
 from calib.fit.estimate.special_cases.stops import Stops
-from calib.fit.registration.known_distances import KnownDistance
 from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import KnownDistance
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.numerics.solvers import triangle
@@ -205,22 +205,6 @@ class Problem(Value):
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]
         self._last.clear()  # before the next one is made, for memory
-        residual, C = self.constraints(x)
-        linear = LinearProblem(
-            x=x.copy(),
-            columns=self._columns(x),
-            channels=self.rows.channels,
-            smallest_noise=self.smallest_noise,
-            C=C,
-            z=residual + C @ x,
-            held=C[-1] if self.gauge is not None else np.zeros(self.size),
-            stops=self.stops,
-        )
-        self._last.append(linear)
-        return linear
-
-    def _columns(self, x: Array) -> Array:
-        """Jacobian of the prediction and, last, the residual, shape (p + 1, D, N), in units of sigma."""
         rows = self.rows
         columns = np.empty((self.size + 1, rows.width, len(rows)))
         rotation = rows.depends_on_orientation
@@ -234,7 +218,19 @@ class Problem(Value):
             residual = part_rows.standardise(part_rows.residual(seen))
             columns[:-1, :width, part] = derivative.transpose(2, 1, 0)
             columns[-1][:width, part] = residual.T
-        return columns
+        of_constraints, C = self.constraints(x)
+        linear = LinearProblem(
+            x=x.copy(),
+            columns=columns,
+            channels=rows.channels,
+            smallest_noise=self.smallest_noise,
+            C=C,
+            z=of_constraints + C @ x,
+            held=C[-1] if self.gauge is not None else np.zeros(self.size),
+            stops=self.stops,
+        )
+        self._last.append(linear)
+        return linear
 
     def observability(self, x: Array) -> Observability:
         """Analyse which combinations of parameters the rows and known distances determine.

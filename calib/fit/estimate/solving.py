@@ -1,11 +1,13 @@
-"""Solving with given priors: stages on the linearised problem, and solves of the problem itself, in turn.
+"""Solving with given priors and bounds: stages on the linearised problem, and solves of the problem itself, in turn.
 
 Each stage asks for the problem linearised at its solution. The solution is sought where the last one was; a stage that
-hardly moves it needs no solve.
+hardly moves it needs no solve. Bounds are kept by an active set around these estimates: parameters beyond a bound are
+held there, and released at most once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +32,12 @@ _FINE = 1e-9
 
 #: A stage's solution that is closer than this is first sought on the linearised problem, in the same steps.
 _CLOSE = 5.0
+
+#: A parameter at its bound is released if that lowers the sum of squares by more than this.
+_WORTH_RELEASING = 1e-6
+
+#: The most estimates, as a multiple of the number of parameters.
+_ROUNDS = 3
 
 
 class StageSolver:
@@ -84,21 +92,9 @@ class StageSolver:
     def linear_at(self, stage: Stage) -> LinearProblem:
         """Return the problem linearised at the solution of a stage of one fit (B = 1), or where it hardly differs.
 
-        A solve, with the tolerance `_ROUGH`, is saved if the last linearisation, or one at a solution close to it,
-        serves.
-        """
-        near = self._linear_without_solve(stage)
-        if near is None:
-            self.solve(stage, _ROUGH)
-            near = self._problem.linear(self._x)
-        self._linear = near
-        return near
-
-    def _linear_without_solve(self, stage: Stage) -> LinearProblem | None:
-        """The linearised problem that gives a stage's solution without a solve; None if a solve is needed.
-
-        It is that of the last stage if the solution has moved by no more than `_ROUGH`, or one at the new solution if
-        that moved by no more than `_CLOSE` and a second linear fit confirms it; norms over all parameters, in steps.
+        A solve, with the tolerance `_ROUGH`, is saved if the solution has moved by no more than that since the last
+        stage, whose linearisation then serves; or by no more than `_CLOSE`, if a second linear fit confirms the new
+        solution. Norms are over all parameters, in steps.
         """
 
         def solution_of(linear: LinearProblem) -> Array:
@@ -111,19 +107,21 @@ class StageSolver:
             """Length of a change of parameters, (p,), in steps of 1 mm and 1 mrad."""
             return float(np.linalg.norm(change / self._step_size))
 
-        if self._linear is None:
-            return None
-        x = solution_of(self._linear)
-        moved = length(x - self._x)
-        if moved <= _ROUGH:  # the difference is of the order of 1e-8 m and rad
-            return self._linear
-        if moved <= _CLOSE:
-            # A step as short as this needs no damping, if the next one confirms it.
-            linear = self._problem.linear(x)
-            if length(solution_of(linear) - x) <= _ROUGH:
-                self._x = x
-                return linear
-        return None
+        if self._linear is not None:
+            x = solution_of(self._linear)
+            moved = length(x - self._x)
+            if moved <= _ROUGH:  # the difference is of the order of 1e-8 m and rad
+                return self._linear
+            if moved <= _CLOSE:
+                # A step as short as this needs no damping, if the next one confirms it.
+                linear = self._problem.linear(x)
+                if length(solution_of(linear) - x) <= _ROUGH:
+                    self._x = x
+                    self._linear = linear
+                    return linear
+        self.solve(stage, _ROUGH)
+        self._linear = self._problem.linear(self._x)
+        return self._linear
 
 
 def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
@@ -146,3 +144,71 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
     solution = solver.solve(stage, _FINE)
     estimate = estimate_at_stage(problem, stage, solution)
     return add_sole_postures(estimate, problem, stage)
+
+
+def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
+    """Estimate the parameters within their bounds, by an active set.
+
+    A parameter that comes out beyond a bound is held at this bound, and all others are estimated again. When none is
+    beyond, those held parameters are released that the measurements pull inwards, each at most once. It ends when none
+    is beyond or released, or after `_ROUNDS` p further estimates.
+
+    Args:
+        problem: The least-squares problem, with its rows of sole postures marked.
+        task: The fit.
+        prior: Priors and bounds of the p parameters, none of them held.
+
+    Raises:
+        SolverError: The residual is not finite at the start.
+    """
+    low, high = prior.limits.T
+    fixed: dict[int, float] = {}
+    released: set[int] = set()
+    estimate = estimate_with_priors(problem, task, prior)
+    for _ in range(_ROUNDS * problem.size):
+        is_beyond = (estimate.x < low) | (estimate.x > high)
+        beyond = np.flatnonzero(is_beyond).tolist()
+        to_release: set[int] = set()
+        if fixed and not beyond:
+            to_release = _pulled_inwards(estimate, prior, fixed) - released
+        if not beyond and not to_release:
+            break
+        for k in beyond:
+            fixed[k] = float(np.clip(estimate.x[k], low[k], high[k]))
+        for k in to_release:
+            del fixed[k]
+        released |= to_release
+        estimate = estimate_with_priors(problem, task, prior.at_bounds(fixed))
+    return estimate
+
+
+def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
+    """Indices of parameters at a bound whose release would lower the sum of squares, within the bounds.
+
+    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature.
+    """
+    residual, jacobian = _without_holds(estimate, prior).system(estimate.x)
+    slope = jacobian.T @ residual  # gradient of half the sum of squares
+    curvature = np.sum(jacobian**2, axis=0)
+    result = set()
+    for k, value in fixed.items():
+        at_low = value <= prior.limits[k, 0]
+        inwards = -slope[k] if at_low else slope[k]
+        if inwards > 0.0 and inwards**2 > _WORTH_RELEASING * curvature[k]:
+            result.add(k)
+    return result
+
+
+def _without_holds(estimate: Estimate, prior: PriorTerms) -> Problem:
+    """The estimate's problem in which parameters that are held at a bound have their usual priors again.
+
+    Families of parameters have the prior standard deviation that was estimated; the one as given if all parameters of a
+    family were held, or priors are off.
+    """
+    estimated_std = {} if prior.source == "off" else estimate.prior_std
+    prior_std = []
+    for family, given_std in zip(prior.names, prior.start, strict=True):
+        prior_std.append(estimated_std.get(family, given_std))
+    family_precision = 1.0 / np.array(prior_std) ** 2
+    precision = prior.precision + family_precision @ prior.families
+    return replace(estimate.problem, prior_precision=precision, prior_mean=prior.mean)

@@ -70,9 +70,14 @@ class Weighting:
 
     @classmethod
     def of(cls, repeats: str, robust: bool, rows: Rows) -> Weighting:
-        """Return the treatment that a cell and task ask for, or, if the rows come with weights, to keep these.
+        """Return the treatment that is asked for; if the rows come with weights, one that keeps these.
 
-        Repeats are already shared out in the weights that rows come with.
+        Repeats are already shared out in such weights.
+
+        Args:
+            repeats: How a cell treats them: "independent", "average" or "weighted".
+            robust: Whether outliers are to lose their weight.
+            rows: N rows of measurements.
         """
         if rows.weights is None:
             return cls(repeats, robust, 1.0)
@@ -137,11 +142,20 @@ class Stage:
         return GaussianPriors(of_families + self.prior.precision, self.prior.mean)
 
     def fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit the linearised problem at this stage's weights, noise and priors: see `LinearProblem.fit`."""
+        """Fit the linearised problem at this stage's weights, noise and priors.
+
+        Returns:
+            Of B fits the parameters x, shape (B, p), their covariance, (B, p, p), and the degrees of freedom left for
+            the noise, (B,): see `LinearProblem.fit`.
+        """
         return linear.fit(self.effective, self.stop_shares, self.noise, self.priors)
 
     def scoring_fit(self, linear: LinearProblem) -> tuple[Array, Array, Array]:
-        """Fit for the scores of single rows: `fit`, with covariance and freedom as if all rows were independent."""
+        """Fit for the scores of single rows: with covariance and freedom as if all rows were independent.
+
+        Returns:
+            As `fit`: x, shape (B, p), its covariance, (B, p, p), and the degrees of freedom, (B,).
+        """
         x, covariance, freedom = self.fit(linear)
         if np.any(self.stop_shares):
             independent = replace(self, stop_shares=np.zeros(self.stop_shares.shape))
@@ -255,24 +269,19 @@ class Stage:
             return self
         rho = np.ones(len(alive))
         if mode == "weighted":
-            rho = self._correlation_of_repeats(linear, poses)
+            # The intraclass correlation, by the scatter of residuals; 1 if these are too few.
+            x, _, freedom = self.fit(linear)
+            residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
+            scalars = np.sum(self.effective @ linear.used, axis=1)
+            fitted = np.maximum(scalars - freedom, 0.0)
+            for b, weights in enumerate(self.weights):
+                repeats = scatter_of_repeats(
+                    residual[b], linear.channels, poses, weights, fitted=float(fitted[b])
+                )
+                if repeats.freedom >= _TELLING_REPEATS:
+                    rho[b] = repeats.rho
         others = np.maximum(counts, 1) - 1.0
         return replace(self, repeat_factor=1.0 / (1.0 + others * rho[:, None]))
-
-    def _correlation_of_repeats(self, linear: LinearProblem, poses: Integers) -> Array:
-        """Estimate the intraclass correlation of repeats, (B,), from their residuals; 1 if these are too few."""
-        x, _, freedom = self.fit(linear)
-        residual = linear.residual(x) / linear.noise_by_scalar(self.noise)
-        scalars = np.sum(self.effective @ linear.used, axis=1)
-        fitted = np.maximum(scalars - freedom, 0.0)
-        rho = np.ones(len(x))
-        for b, weights in enumerate(self.weights):
-            repeats = scatter_of_repeats(
-                residual[b], linear.channels, poses, weights, fitted=float(fitted[b])
-            )
-            if repeats.freedom >= _TELLING_REPEATS:
-                rho[b] = repeats.rho
-        return rho
 
     def by_stops(self, linear: LinearProblem) -> Stage:
         """Return the stage with what the targets of a stop have in common estimated; itself if there are no stops.
@@ -289,7 +298,7 @@ class Stage:
         return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
 
     def select(self, fits: Integers) -> Stage:
-        """Return the stage of some of the B fits, by their indices."""
+        """Return the stage of n of the B fits, by their indices, shape (n,)."""
         return replace(
             self,
             kept=self.kept[fits],
@@ -301,7 +310,7 @@ class Stage:
         )
 
     def updated(self, fits: Integers, new: Stage) -> Stage:
-        """Return the stage with some of the B fits, by their indices, replaced by those of a stage of these alone."""
+        """Return the stage with n of the B fits, by their indices, (n,), replaced by a stage of these n alone."""
 
         def updated(values: Array, new_values: Array) -> Array:
             """A copy of an array of all fits with those of the fits to replace."""

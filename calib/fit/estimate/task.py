@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.errors import ModelError, choices
-from calib.fit.registration.known_distances import KnownDistance
-from calib.fit.registration.setup import Setup
+from calib.fit.registration.setup import KnownDistance, Setup
 from calib.model.error_model import error_model
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.numerics.solvers import Solver, check_name, has_weights_and_priors

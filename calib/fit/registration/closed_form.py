@@ -15,7 +15,6 @@ import numpy as np
 from calib.basics.arrays import Array, Integers
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
-from calib.model.kinematics import Samples
 
 #: Directions of a frame's translation.
 _TRANSLATIONS = ("x", "y", "z")
@@ -49,19 +48,31 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
 
     T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
     R_frame_tip = T_frame_tip[:, :3, :3]
-    A = _linear_matrix(setup, R_frame_tip, rows.samples)
+    samples = rows.samples
+
+    # The matrix of R_f R_i t + ds_f by the positions t of targets and the changes ds_f; columns of targets and
+    # translations that are not estimated are zero.
+    targets = len(setup.targets)
+    A = np.zeros((len(samples), 3, 3 * (targets + len(setup.groups))))
+    to_unknown = np.flatnonzero(setup.target_unknown[samples.target])  # rows
+    first_column = 3 * samples.target[to_unknown]
+    for k, axis in enumerate(_TRANSLATIONS):
+        A[to_unknown, :, first_column + k] = R_frame_tip[to_unknown, :, k]
+        for f, directions in enumerate(setup.unknown):
+            if axis in directions:
+                A[samples.frame == f, k, 3 * (targets + f) + k] = 1.0
+
     measured = np.zeros((len(rows), 3))
     has_position = rows.where(lambda kind: kind.position)
     if np.any(has_position):
         measured[has_position] = rows.measured[has_position, :3]
-    target = rows.samples.target
+    target = samples.target
     lever = np.einsum("nij,nj->ni", R_frame_tip, setup.T_tip_target[target, :3, 3])
     known_lever = np.where(setup.target_unknown[target, None], 0.0, lever)
-    rhs = measured - T_frame_tip[:, :3, 3]
-    rhs = rhs - known_lever
+    rhs = measured - T_frame_tip[:, :3, 3] - known_lever
     x, *_ = np.linalg.lstsq(A.reshape(-1, A.shape[2]), rhs.ravel(), rcond=_RANK_TOLERANCE)
 
-    positions, changes = np.split(x.reshape(-1, 3), [len(setup.targets)])
+    positions, changes = np.split(x.reshape(-1, 3), [targets])
     T_frame_base = setup.T_frame_base.copy()
     T_frame_base[:, :3, 3] += changes
     T_tip_target = setup.T_tip_target.copy()
@@ -72,23 +83,6 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     if setup.rotation:
         return with_measured_target_rotations(result, T_base_tip, rows)
     return result
-
-
-def _linear_matrix(setup: Setup, R_frame_tip: Array, samples: Samples) -> Array:
-    """The matrix of R_f R_i t + ds_f by the positions t of targets and the changes ds_f, shape (N, 3, 3 T + 3 F).
-
-    Columns of targets and translations that are not estimated are zero. ``R_frame_tip`` is R_f R_i, (N, 3, 3).
-    """
-    targets = len(setup.targets)
-    A = np.zeros((len(samples), 3, 3 * (targets + len(setup.groups))))
-    to_unknown = np.flatnonzero(setup.target_unknown[samples.target])  # rows
-    first_column = 3 * samples.target[to_unknown]
-    for k, axis in enumerate(_TRANSLATIONS):
-        A[to_unknown, :, first_column + k] = R_frame_tip[to_unknown, :, k]
-        for f, directions in enumerate(setup.unknown):
-            if axis in directions:
-                A[samples.frame == f, k, 3 * (targets + f) + k] = 1.0
-    return A
 
 
 def orientation_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
@@ -167,7 +161,7 @@ def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
 
 
 def _fit_frame(setup: Setup, f: int, points: Array, rows: Rows, of_frame: Integers) -> Array:
-    """Fit one frame to its n rows, by their numbers: T_frame_base, (4, 4) [m]; see `with_frames_fitted`.
+    """Fit frame f to its n rows, whose numbers are given, (n,): T_frame_base, (4, 4) [m]; see `with_frames_fitted`.
 
     ``points`` are the predicted positions of all rows' targets in the base, (N, 3) [m].
     """
@@ -230,7 +224,7 @@ def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) 
 
 
 def nearest_rotation(M: Array) -> Array:
-    """Return the rotation matrix nearest to a matrix M, shape (3, 3), in the least-squares sense."""
+    """Return the rotation matrix, (3, 3), nearest to a matrix M, (3, 3), in the least-squares sense."""
     U, _, V = np.linalg.svd(M)
     handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))])
     return np.asarray(U @ handed @ V)

@@ -130,7 +130,10 @@ def is_plausible(setup: Setup, T_base_tip: Array, rows: Rows) -> bool:
 
 
 def _agree(minima: list[tuple[float, Setup]], T_base_tip: Array, rows: Rows) -> bool:
-    """Return whether several starts led to the lowest of the minima (cost and setup), and it is plausible."""
+    """Return whether several starts led to the lowest of the minima (cost and setup), and it is plausible.
+
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
+    """
     lowest, setup = _lowest(minima)
     limit = (1.0 + _SAME) * lowest + _NOTHING * rows.count
     agreeing = sum(cost <= limit for cost, _ in minima)
@@ -160,7 +163,10 @@ def _rows_of_search(rows: Rows) -> Mask:
 
 
 def _starts(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Iterator[Setup]:
-    """Yield setups with a frame at random poses, always the same ones, and targets in turn as they are and moved."""
+    """Yield setups with frame f at random poses, always the same ones, and targets in turn as they are and moved.
+
+    The frame is placed around the targets of the rows, with the tip at T_base_tip, (N, 4, 4) [m].
+    """
     T_base_target = T_base_tip @ setup.T_tip_target[rows.samples.target]
     points = T_base_target[:, :3, 3]
     centre = points.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Labels of rows as numbers: merged labels, and repeated poses."""
+"""Labels of rows as numbers: merged labels, repeated poses, and stations that known distances join."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from calib.basics.arrays import Array, Integers
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import KnownDistance
 
 #: Rows whose joint values differ by no more than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3
@@ -70,3 +72,12 @@ def same_poses(joints: Array) -> Integers:
     leader_of_row = leader[copy.reshape(-1)]
     _, pose = np.unique(leader_of_row, return_inverse=True)
     return pose.reshape(-1)
+
+
+def joined_stations(rows: Rows, distances: Sequence[KnownDistance]) -> Integers:
+    """Number the stations of N rows, shape (N,); those with a known distance between them are one."""
+    pairs = [(distance.first, distance.second) for distance in distances]
+    # A distance may be to a frame that these rows do not see.
+    highest = max((max(pair) for pair in pairs), default=0)
+    highest = max(highest, int(rows.samples.frame.max()))
+    return joined_labels(np.arange(highest + 1), pairs)[rows.samples.frame]

@@ -139,45 +139,34 @@ def _system(
 ) -> tuple[Array, Array]:
     """The residual of a registration, (M,), and its derivative by x, (M, p), in units of each scalar's sigma.
 
-    The p parameters x [m, rad] of the model are of frames and targets alone, and displace those of ``setup``.
+    The p parameters x, (p,) [m, rad], of the model are of frames and targets alone, and displace those of ``setup``.
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
     """
     displacement, directions = model.displacements(x)
     displaced = setup.displaced(displacement)
     seen = displaced.sightings(T_base_tip, rows.samples)
-    twists = _twists(model, directions, displaced, seen.T_frame_target, rows)
+
+    # Motion of each row's target by each parameter, along the frame's axes: v, then omega.
+    T_frame_base = displaced.T_frame_base[rows.samples.frame]
+    axes = np.array([_axes_first(T_frame_base), _axes_first(seen.T_frame_target)])
+    by_frame, by_target = kernel.regressor(axes, axes[1, 3])
+    frames = len(setup.groups)
+    by_place = directions.reshape(-1, 6, len(model))
+    at_frames = by_place[:frames]
+    at_targets = by_place[frames + 1 :]  # the tip is between them
+    twists = np.zeros((len(model), 6, len(rows)))
+    kernel.add_columns(twists[:, :3], by_frame, at_frames, rows.samples.frame)
+    kernel.add_columns(twists[:, :3], by_target, at_targets, rows.samples.target)
+    if rows.depends_on_orientation:
+        turns = twists[:, 3:]
+        kernel.add_columns(turns, axes[0, :3], at_frames[:, 3:], rows.samples.frame)
+        kernel.add_columns(turns, axes[1, :3], at_targets[:, 3:], rows.samples.target)
+
     scales = rows.scales
     residual = rows.residual(seen) / scales
     derivative = rows.derivative(replace(seen, twists=twists.transpose(2, 1, 0)))
     jacobian = derivative / -scales[:, :, None]
     return residual[rows.used], jacobian[rows.used]
-
-
-def _twists(
-    model: ErrorModel,
-    directions: Array,
-    setup: Setup,
-    T_frame_target: Array,
-    rows: Rows,
-) -> Array:
-    """Motion of each row's target by each parameter, along the frame's axes, shape (p, 6, N): v, then omega.
-
-    The model's places are frames, tip, targets; ``directions`` are the twists at each, shape (6 places, p).
-    """
-    T_frame_base = setup.T_frame_base[rows.samples.frame]
-    axes = np.array([_axes_first(T_frame_base), _axes_first(T_frame_target)])
-    by_frame, by_target = kernel.regressor(axes, axes[1, 3])
-    twists = directions.reshape(-1, 6, len(model))
-    frames = len(setup.groups)
-    at_frames = twists[:frames]
-    at_targets = twists[frames + 1 :]  # the tip is between them
-    columns = np.zeros((len(model), 6, len(rows)))
-    kernel.add_columns(columns[:, :3], by_frame, at_frames, rows.samples.frame)
-    kernel.add_columns(columns[:, :3], by_target, at_targets, rows.samples.target)
-    if rows.depends_on_orientation:
-        turns = columns[:, 3:]
-        kernel.add_columns(turns, axes[0, :3], at_frames[:, 3:], rows.samples.frame)
-        kernel.add_columns(turns, axes[1, :3], at_targets[:, 3:], rows.samples.target)
-    return columns
 
 
 def _axes_first(T: Array) -> Array:

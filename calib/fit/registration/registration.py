@@ -58,7 +58,20 @@ def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 
     Raises:
         MeasurementError: Fewer numbers than unknowns.
     """
-    _check_enough(setup, rows)
+    # Enough numbers for the unknowns, of the table and of each frame.
+    frames, targets = setup.seen_by(rows.samples)
+    observed = setup.with_fixed(~frames, ~targets)
+    wholly_unknown = observed.wholly_unknown.tolist()
+    every = np.ones(len(rows), dtype=bool)
+    _check_part("The table", rows, every, observed.count, points_needed=any(wholly_unknown))
+    for f, name in enumerate(setup.groups):
+        of_frame = rows.samples.frame == f
+        if not np.any(of_frame):
+            continue
+        unknowns = len(observed.unknown[f])
+        points_needed = wholly_unknown[f]
+        _check_part(f"Station '{name}'", rows, of_frame, unknowns, points_needed=points_needed)
+
     sample = _subsample(rows)
     return register_all_rows(T_base_tip[sample], setup, rows.select(sample), tolerance=tolerance)
 
@@ -98,7 +111,10 @@ def register_all_rows(
 
 
 def _register_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """Register frames and targets to the poses of the targets in single views, without those that are far off."""
+    """Register frames and targets to the poses of the targets in single views, without those that are far off.
+
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
+    """
     poses, source_rows = views_as_poses(rows)
     T_base_tip = T_base_tip[source_rows]
     registered = register_all_rows(T_base_tip, setup, poses, tolerance=tolerance)
@@ -110,7 +126,10 @@ def _register_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: f
 
 
 def _search_frames(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """Find the frames of which nothing is known one by one, after all that the rows of the other frames determine."""
+    """Find the frames of which nothing is known one by one, after all that the rows of the other frames determine.
+
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
+    """
     unknown = frames_to_search(setup, rows)
     numbers = np.arange(len(setup.groups))
     others = rows.with_partners(~np.isin(rows.samples.frame, unknown))
@@ -180,7 +199,10 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
 
 
 def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
-    """`register`, repeated without the rows whose residual is far above the median."""
+    """Register frames and targets, repeatedly without the rows whose residual is far above the median.
+
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
+    """
     if not setup.count:
         return setup
     sample = rows.evenly(ENOUGH)
@@ -197,7 +219,7 @@ def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> S
 
 
 def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
-    """Rows, (N,), whose residual is not far above the median, with the partners of pairs.
+    """Rows, (N,), whose residual is not far above the median, with the tip at T_base_tip, (N, 4, 4) [m]; and partners.
 
     None if too few are left, of all rows or of a frame's.
     """
@@ -210,22 +232,6 @@ def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
     if too_few or not rows.keeps_frames(near):
         return None
     return rows.with_partners(near)
-
-
-def _check_enough(setup: Setup, rows: Rows) -> None:
-    """Raise `MeasurementError` if rows have fewer numbers than unknowns, of the table or of one frame."""
-    frames, targets = setup.seen_by(rows.samples)
-    observed = setup.with_fixed(~frames, ~targets)
-    wholly_unknown = observed.wholly_unknown.tolist()
-    every = np.ones(len(rows), dtype=bool)
-    _check_part("The table", rows, every, observed.count, points_needed=any(wholly_unknown))
-    for f, name in enumerate(setup.groups):
-        of_frame = rows.samples.frame == f
-        if not np.any(of_frame):
-            continue
-        unknowns = len(observed.unknown[f])
-        points_needed = wholly_unknown[f]
-        _check_part(f"Station '{name}'", rows, of_frame, unknowns, points_needed=points_needed)
 
 
 def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_needed: bool) -> None:
@@ -245,7 +251,7 @@ def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_need
 
 
 def _subsample(rows: Rows) -> Mask:
-    """Mask of rows that are enough for a registration, evenly spaced for each frame and target; pairs stay whole."""
+    """Mask of rows, (N,), enough for a registration, evenly spaced for each frame and target; pairs stay whole."""
     if len(rows) <= _FEWEST_ROWS:
         return np.ones(len(rows), dtype=bool)
     in_view = rows.has_views
@@ -266,6 +272,6 @@ def _subsample(rows: Rows) -> Mask:
 
 
 def _evenly_spaced(values: Integers, most: int) -> Integers:
-    """Return at most so many of n values, evenly spaced in their order."""
+    """Return at most so many of n values, (n,), evenly spaced in their order."""
     spaced = np.linspace(0, len(values) - 1, min(len(values), most))
     return np.asarray(values[spaced.astype(int)])

@@ -101,21 +101,20 @@ class Rows:
                 rows = slice(None) if np.all(of_kind) else np.flatnonzero(of_kind)
                 by_kind.append((kind, rows))
         object.__setattr__(self, "_by_kind", tuple(by_kind))
-        object.__setattr__(self, "_correlated", self._find_correlated())
 
-    def _find_correlated(self) -> _CorrelatedRows | None:
-        """Return the rows with a covariance, and the transformations of their scalars; None if there are none."""
+        correlated = None
         stated = self.covariances
-        if stated is None:
-            return None
-        poses = self.where(lambda kind: kind.may_have_covariance)
-        chosen = np.flatnonzero(np.isfinite(stated[:, 0, 0]) & poses)
-        if not len(chosen):
-            return None
-        by_joints = np.zeros(stated.shape) if self.by_joints is None else self.by_joints
-        V = self.pose_noise.covariances(stated[chosen], by_joints[chosen])
-        W = standardisers(V)
-        return _CorrelatedRows(chosen, V, W, np.asarray(np.linalg.inv(W)))
+        if stated is not None:
+            has_covariance = np.isfinite(stated[:, 0, 0]) & self.where(
+                lambda kind: kind.may_have_covariance
+            )
+            chosen = np.flatnonzero(has_covariance)
+            if len(chosen):
+                by_joints = np.zeros(stated.shape) if self.by_joints is None else self.by_joints
+                V = self.pose_noise.covariances(stated[chosen], by_joints[chosen])
+                W = standardisers(V)
+                correlated = _CorrelatedRows(chosen, V, W, np.asarray(np.linalg.inv(W)))
+        object.__setattr__(self, "_correlated", correlated)
 
     def __len__(self) -> int:
         """Number of rows N."""
@@ -407,7 +406,7 @@ class Rows:
     def _internals_at(
         self, kind: Kind, rows: Integers | slice, sightings: Sightings
     ) -> InternalValues | None:
-        """Internals of the instrument at the n rows of one kind; None if it has none."""
+        """Internals of the instrument at the n rows of one kind, by their numbers, (n,); None if it has none."""
         if kind.internals is None:
             return None
         if sightings.internals is not None:

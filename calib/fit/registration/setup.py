@@ -2,7 +2,7 @@
 
 A row's prediction is T_frame_target = T_frame_base T_base_tip T_tip_target, with the frame of its station and its
 target. A frame or target is estimated or fixed; if estimated, its pose here is where the estimation starts: as given,
-then as registered.
+then as registered. Known distances between frames give sockets and planes a unit of length.
 """
 
 from __future__ import annotations
@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value
+from calib.data.cell import Cell
+from calib.errors import ModelError, choices
 from calib.model.error_model import DIRECTIONS
 from calib.model.internals import FIXED, InternalUnknown, changed_internals
 from calib.model.kinematics import Samples, Sightings
@@ -219,3 +222,40 @@ class Setup(Value):
         if parameters == model.parameters and terms == model.terms:
             return model
         return replace(model, parameters=parameters, terms=terms)
+
+
+class KnownDistance(NamedTuple):
+    """A known distance between the origins of two frames, such as two sockets on one bar."""
+
+    #: Index of a frame in `Setup.groups`, from 0
+    first: int
+    #: Index of the other
+    second: int
+    #: Distance of their origins [m]
+    length: float
+    #: Its standard deviation [m]
+    sigma: float
+
+
+def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
+    """Resolve the distances that a cell states between groups to the frames of a table.
+
+    Args:
+        cell: Its distances name groups; a "*" stands for the same text in both names.
+        setup: Its groups are those of the table.
+
+    Raises:
+        ModelError: A distance whose groups the table lacks.
+    """
+    result: list[KnownDistance] = []
+    for distance in cell.distances:
+        pairs = distance.pairs(setup.groups)
+        if not pairs:
+            raise ModelError(
+                f"A distance is stated between the groups '{distance.first}' and '{distance.second}'; the table's "
+                f"column 'group' has {choices(setup.groups)}."
+            )
+        for first, second in pairs:
+            frames = setup.groups.index(first), setup.groups.index(second)
+            result.append(KnownDistance(*frames, distance.length, distance.sigma))
+    return tuple(result)

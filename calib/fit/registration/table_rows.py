@@ -1,21 +1,24 @@
-"""The rows of a table as the arrays of a fit."""
+"""A table as the arrays of a fit: its rows, and the measurement setup that the cell states for it."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.basics.arrays import Array, Integers, numbered
+from calib.basics.arrays import Array, Integers, numbered, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.data.cell import AUTO, Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.errors import MeasurementError
+from calib.errors import MeasurementError, ModelError, choices
 from calib.fit.registration.labels import joined_labels, same_poses
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.table_setup import measurement_setup, with_internals
-from calib.model.error_model import split_name
+from calib.instruments.internals import initial_internals
+from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.robot.gravity import gravity_loads
@@ -43,21 +46,47 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     occurring = set(measurements.kinds)
     kinds = tuple(registry.get(name) for name in registry.names() if name in occurring)
     kind = numbered(measurements.kinds, [kind.name for kind in kinds])
+
+    # The other row of each pair, at both its rows; -1 at all other rows.
+    partner = np.full(len(measurements), -1)
+    first, second = measurements.pair_rows.T
+    partner[first] = second
+    partner[second] = first
+    alone = np.flatnonzero(measurements.paired & (partner < 0))
+    if len(alone):
+        i = int(alone[0])
+        raise MeasurementError(
+            f"{measurements.source or 'Measurements'}, row {measurements.rows[i]}: the pair "
+            f"'{measurements.pairs[i]}' has one row only in this set."
+        )
     # Of a pair the earlier row has the kind, the measurement and a partner; the later one has `NONE` and no partner.
-    partner = _partners(measurements)
     later = (partner >= 0) & (partner < np.arange(len(measurements)))
     kind[later] = NONE
     partner = np.where(kind == NONE, -1, partner)
 
     setup = measurement_setup(cell, measurements, kinds, kind)
     setup, internals = with_internals(setup, measurements, cell, pose)
+    # Loads of the joints take time to compute: only if a model that may be fitted depends on them.
+    needs_loads = cell.model == AUTO
+    if not needs_loads:
+        _, families = split_name(cell.model)
+        needs_loads = any(FAMILIES[family].loaded for family in families)
     samples = Samples(
         q=q,
         frame=numbered(measurements.groups, setup.groups),
         target=numbered(measurements.targets, setup.targets),
-        load=joint_loads(robot, measurements, cell, q) if _needs_loads(cell) else None,
+        load=joint_loads(robot, measurements, cell, q) if needs_loads else None,
         internals=internals,
     )
+
+    # Standard deviation of one scalar of each row by unit: the row's, else the cell's, else the assumed one.
+    sigma = {}
+    stated = measurements.stated_sigma
+    for symbol, unit in RESIDUAL_UNITS.items():
+        general = np.full(len(measurements), cell.sigma.get(symbol, unit.assumed_sigma))
+        by_row = stated.get(symbol, np.full(len(measurements), np.nan))
+        sigma[symbol] = np.where(np.isfinite(by_row), by_row, general)
+
     pairs = [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]
     rows = Rows(
         samples=samples,
@@ -65,7 +94,7 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         kind=kind,
         measured=_measured(measurements, kinds, kind),
         partner=partner,
-        sigma=_sigma_by_unit(measurements, cell),
+        sigma=sigma,
         covariances=measurements.covariances,
         poses=_repeats(pose, samples, kinds, kind, partner),
         blocks=joined_labels(pose, pairs),
@@ -95,25 +124,6 @@ def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) 
     return load
 
 
-def _needs_loads(cell: Cell) -> bool:
-    """True if a model that may be fitted depends on the loads of the joints, which take time to compute."""
-    if cell.model == AUTO:
-        return True
-    _, families = split_name(cell.model)
-    return any(FAMILIES[family].loaded for family in families)
-
-
-def _sigma_by_unit(measurements: Measurements, cell: Cell) -> dict[str, Array]:
-    """Standard deviation of one scalar of each row, (N,) by unit: the row's, else the cell's, else the assumed one."""
-    result = {}
-    stated = measurements.stated_sigma
-    for symbol, unit in RESIDUAL_UNITS.items():
-        general = np.full(len(measurements), cell.sigma.get(symbol, unit.assumed_sigma))
-        by_row = stated.get(symbol, np.full(len(measurements), np.nan))
-        result[symbol] = np.where(np.isfinite(by_row), by_row, general)
-    return result
-
-
 def _repeats(
     pose: Integers,
     samples: Samples,
@@ -123,7 +133,8 @@ def _repeats(
 ) -> Integers:
     """Number the rows so that repeats, of one pose, frame, target, point of it and kind, have one number, shape (N,).
 
-    Repeats of a pair repeat both its rows.
+    The robot's pose of each row, its kind, and the second row of its pair (-1 for none) are numbers, (N,). Repeats of a
+    pair repeat both its rows.
     """
     poses = int(pose.max(initial=-1)) + 1
     if poses == len(pose):
@@ -140,7 +151,10 @@ def _repeats(
 
 
 def _measured(measurements: Measurements, kinds: tuple[Kind, ...], kind_of_row: Integers) -> Array:
-    """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings."""
+    """Measured values of each row, shape (N, K), as `Rows.measured`: point, rotation matrix by rows, readings.
+
+    Each row has a kind, by its index, (N,), or `NONE`; K is the size of the largest.
+    """
     size = max((kind.size for kind in kinds), default=0)
     result = np.zeros((len(measurements), size))
     for k, kind in enumerate(kinds):
@@ -158,17 +172,120 @@ def _measured(measurements: Measurements, kinds: tuple[Kind, ...], kind_of_row: 
     return result
 
 
-def _partners(measurements: Measurements) -> Integers:
-    """The other row of each pair, at both its rows, shape (N,); -1 at all other rows."""
-    partner = np.full(len(measurements), -1)
-    first, second = measurements.pair_rows.T
-    partner[first] = second
-    partner[second] = first
-    alone = np.flatnonzero(measurements.paired & (partner < 0))
-    if len(alone):
-        i = int(alone[0])
-        raise MeasurementError(
-            f"{measurements.source or 'Measurements'}, row {measurements.rows[i]}: the pair "
-            f"'{measurements.pairs[i]}' has one row only in this set."
+def measurement_setup(
+    cell: Cell,
+    measurements: Measurements,
+    kinds: tuple[Kind, ...],
+    kind_of_row: Integers,
+) -> Setup:
+    """Make the setup of a table: poses as the cell gives them, identity if it gives none.
+
+    Args:
+        cell: Frames and targets that are given, and whether they are estimated.
+        measurements: Table of N rows; its groups are the stations.
+        kinds: The kinds of its rows.
+        kind_of_row: shape (N,), index of each row's kind in ``kinds``; `NONE` for the second row of a pair.
+
+    Returns:
+        One frame for each group and one target for each name, in the order in which they first occur; not registered.
+
+    Raises:
+        ModelError: The cell names a group or target that the table lacks.
+    """
+    groups = tuple(dict.fromkeys(measurements.groups))
+    targets = tuple(dict.fromkeys(measurements.targets))
+    _check_names(measurements, "group", cell.frames, groups)
+    _check_names(measurements, "target", cell.targets, targets)
+
+    group_of_row = np.array([groups.index(group) for group in measurements.groups])
+    T_frame_base = np.tile(np.eye(4), (len(groups), 1, 1))
+    unknown = []
+    frame_given = []
+    own_axes = []
+    for g, group in enumerate(groups):
+        of_group = np.unique(kind_of_row[group_of_row == g])
+        locating = [kinds[k] for k in of_group.tolist() if k != NONE and kinds[k].directions]
+        # Frames of sockets, planes and anchors are estimated unless the cell gives this group's.
+        part_of_scene = group not in cell.frames and all(kind.own_frame for kind in locating)
+        # Of the directions that its kinds of rows depend on.
+        observable = {direction for kind in locating for direction in kind.directions}
+        if part_of_scene:
+            directions = tuple(d for d in DIRECTIONS if d in observable)
+        elif cell.estimate_frame:
+            directions = tuple(d for d in cell.frame_directions if d in observable)
+        else:
+            directions = ()
+        given = cell.frames.get(group, cell.T_frame_base)
+        if given is not None:
+            T_frame_base[g] = given
+        unknown.append(directions)
+        frame_given.append(given is not None or not directions)
+        own_axes.append(part_of_scene and any(kind.own_axes for kind in locating))
+
+    positions = [cell.targets.get(name, cell.target) for name in targets]
+    T_tip_target = np.tile(np.eye(4), (len(targets), 1, 1))
+    for T, position in zip(T_tip_target, positions, strict=True):
+        if position is not None:
+            T[:3, 3] = position
+        if cell.target_rotation is not None:
+            T[:3, :3] = cell.target_rotation
+
+    rotation = any(kind.depends_on_orientation for kind in kinds)
+    return Setup(
+        groups=groups,
+        targets=targets,
+        T_frame_base=read_only(T_frame_base),
+        T_tip_target=read_only(T_tip_target),
+        unknown=tuple(unknown),
+        frame_given=np.array(frame_given),
+        target_unknown=np.full(len(targets), cell.estimate_target),
+        target_given=np.array([position is not None for position in positions]),
+        rotation=rotation,
+        own_axes=np.array(own_axes),
+        oriented=cell.target_rotation is not None or rotation,
+    )
+
+
+def _check_names(
+    measurements: Measurements,
+    column: str,
+    given: Collection[str],
+    present: tuple[str, ...],
+) -> None:
+    """Raise `ModelError` for names that a cell gives and the table's column, "group" or "target", lacks."""
+    missing = [name for name in given if name not in present]
+    if missing:
+        table = measurements.source or "Measurements"
+        raise ModelError(
+            f"{table}: the cell says where {choices(missing)} is; the table's column '{column}' has "
+            f"{choices(present)}."
         )
-    return partner
+
+
+def with_internals(
+    setup: Setup, measurements: Measurements, cell: Cell, pose: Integers
+) -> tuple[Setup, Array | None]:
+    """Add the internals of the instruments to the setup of a table.
+
+    Args:
+        setup: The table's stations and targets.
+        measurements: Table of N rows.
+        cell: What is known of the instruments.
+        pose: shape (N,), number of the robot's pose at each row.
+
+    Returns:
+        The setup, with the internals that are estimated; and the internals of each row before the fit, shape (N, c),
+        None if the instruments have none.
+
+    Raises:
+        MeasurementError: What is known of an instrument is not enough, or contradicts its rows.
+    """
+    frames, targets = setup.places
+    values, unknowns = initial_internals(
+        measurements,
+        cell,
+        dict(zip(setup.groups, frames, strict=True)),
+        dict(zip(setup.targets, targets, strict=True)),
+        pose,
+    )
+    return replace(setup, internals=unknowns), values

@@ -1,7 +1,9 @@
-"""Candidates: models that were fitted to the same rows with the same weights, and how they compare.
+"""Candidates: the models that may be fitted to a table, and how those compare that were.
 
-The evidence of a candidate is its restricted log-likelihood less a penalty for what it has to estimate. Without priors
-there is no such likelihood; then it is minus the logarithm of the error on held-out rows, in steps of `CLEARLY`.
+A model is named by its geometry, a rung of the ladder from the smallest to the largest, and, after plus signs, its
+families of non-geometric errors: ``"dh+compliance"``. All candidates are fitted to the same rows with the same weights.
+The evidence of one is its restricted log-likelihood less a penalty for what it has to estimate. Without priors there is
+no such likelihood; then it is minus the logarithm of the error on held-out rows, in steps of `CLEARLY`.
 """
 
 from __future__ import annotations
@@ -12,11 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.values import keep_read_only
+from calib.errors import ModelError, choices
 from calib.fit.estimate.fitting import Fitted
-from calib.fit.selection.ladder import LADDER, model_name
-from calib.fit.selection.linear_folds import linear_cross_validation
-from calib.model.families import family_of
+from calib.fit.estimate.task import Task
+from calib.fit.registration.rows import Rows
+from calib.fit.selection.cross_validation import linear_cross_validation
+from calib.model.families import family_of, joint_families
+from calib.model.joint_errors import joint_displacements, joint_parameters
 from calib.numerics.errors import CrossValidation
+
+#: The geometries, from the smallest to the largest.
+LADDER = ("frames", "zeros", "dh", "hayati", "placement")
+
+#: A family moves no joint if one unit of its errors moves each by less than this [rad, m].
+_NO_MOTION = 1e-6
 
 #: Penalty of an estimated prior standard deviation, in log-likelihood, which is maximised over it. By Laplace's
 #: approximation it costs the logarithm of its prior range, a few powers of ten, over the factor within which the data
@@ -36,6 +47,80 @@ _VANISHED = 1e-2
 #: The most alternatives that are tried if refits without each fold reject the chosen non-geometric model: each is
 #: another chance for a bad one to pass.
 _MOST_ALTERNATIVES = 3
+
+
+def model_name(geometry: str, families: tuple[str, ...]) -> str:
+    """Return the name of a geometry of the ladder with families: ``"dh+gain"`` of ``"dh"`` and ``("gain",)``."""
+    return "+".join((geometry, *families))
+
+
+def geometry_parameters(task: Task) -> dict[str, int]:
+    """List the geometries that differ for a robot and have something to estimate.
+
+    Of geometries with the same parameters the smaller is taken: without near-parallel axes ``"hayati"`` is ``"dh"``.
+
+    Args:
+        task: The fit, with any model.
+
+    Returns:
+        Number of parameters, frames and targets included, by the geometry's name, in the order of the ladder.
+    """
+    counts: dict[str, int] = {}
+    listed = set()
+    for geometry in LADDER:
+        names = replace(task, model=geometry).error_model().names
+        if names and names not in listed:
+            listed.add(names)
+            counts[geometry] = len(names)
+    return counts
+
+
+def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
+    """List the families of non-geometric errors that would move at least one joint in at least one row.
+
+    Compliances do not, for example, if the URDF states no masses.
+
+    Args:
+        task: The fit, with any model.
+        rows: The rows that are fitted.
+
+    Returns:
+        Names of the families, in the order of the registry.
+    """
+    robot, samples = task.robot, rows.samples
+    families = []
+    for family in joint_families():
+        terms = joint_parameters(robot, family, task.cell.gravity)
+        moves = joint_displacements(robot, terms, samples.q, samples.load)
+        if np.max(np.abs(moves), initial=0.0) > _NO_MOTION:
+            families.append(family)
+    return tuple(families)
+
+
+def check_parameter_names(task: Task) -> None:
+    """Refuse names of parameters in the cell that no model of the ladder has.
+
+    Args:
+        task: The fit, with any model.
+
+    Raises:
+        ModelError: There are such names; it lists them.
+    """
+    cell = task.cell
+    leaders = (leader for leader, _ in cell.ties.values())
+    named = {*cell.frozen, *cell.bounds, *cell.parameter_priors, *cell.ties, *leaders}
+    if not named:
+        return
+    without_frozen = replace(task, cell=replace(cell, frozen=(), ties={}))
+    largest = model_name("placement", joint_families())
+    known = set()
+    for model in (largest, "zeros", "dh", "hayati"):
+        known |= {*replace(without_frozen, model=model).error_model().names}
+    unknown = sorted(named - known)
+    if unknown:
+        raise ModelError(
+            f"No model has the parameters {choices(unknown)}; 'calib inspect --model dh' lists those of one."
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

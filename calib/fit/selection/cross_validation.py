@@ -1,21 +1,54 @@
 """Cross-validation: how well a fit predicts rows that it has not used.
 
-Each fold of rows is held out in turn and predicted by a fit to the others. The nominal robot is treated alike: what
-the fit estimates of frames and targets is registered for it, without the fold.
+Each fold of rows is held out in turn and predicted by a fit to the others (`cross_validation`). The nominal robot is
+treated alike: what the fit estimates of frames and targets is registered for it, without the fold
+(`nominal_cross_validation`).
+
+The problem linearised at the fit to all rows, y = A x + n, saves most of the fits. Candidates of the search are
+compared on it alone (`linear_cross_validation`), at the weights, noise and prior standard deviations of the fit to all
+rows. The cross-validation that is reported takes from it those folds for which it is accurate
+(`held_out_residuals_linear`); there weights, noise and priors are estimated again in each fold.
 """
 
 from __future__ import annotations
 
-from calib.basics.arrays import Mask
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.basics.arrays import Array, Mask
 from calib.basics.jobs import Progress
 from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.linear import LinearProblem
+from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.stages import FEWEST_FREEDOM, Stage, Weighting, run_stages
 from calib.fit.estimate.task import Task
 from calib.fit.registration.registration import ENOUGH, nominal_setup
 from calib.fit.registration.rows import Rows
-from calib.fit.selection.folds import Folds
-from calib.fit.selection.held_out import held_out_residual, residual_after_registration
-from calib.fit.selection.linear_folds import held_out_residuals_linear
+from calib.fit.selection.folds import (
+    Folds,
+    held_out_residual,
+    residual_after_registration,
+    seen_only_by,
+)
 from calib.numerics.errors import CrossValidation
+from calib.numerics.likelihood import GaussianPriors
+
+#: The linear problem is accurate if its residuals differ from the robot's by less than this share of the noise, rms.
+_LINEAR = 1e-3
+
+#: A fold is fitted from the beginning if it leaves a frame with fewer scalars than this: its pose then moves far.
+_FEWEST_SCALARS = 18.0
+
+#: From this number of rows on, a small fold hardly changes weights, noise and priors: those of the fit to all rows do.
+_MANY = 1500
+
+#: A fold is small if it holds out less than this share of the rows.
+_SMALL_SHARE = 0.15
+
+#: Rows of all folds together that are fitted at a time, for they are held in memory.
+_AT_A_TIME = 4096
 
 
 def cross_validation(
@@ -79,3 +112,162 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         residual = residual_after_registration(T_held_out, registered, rows, mask, used, outliers)
         residuals.append(residual)
     return folds.join(rows, residuals, outliers)
+
+
+def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> CrossValidation:
+    """Cross-validate on the linearised problem, with prior std, noise and weights of the fit to all rows.
+
+    Args:
+        fitted: Fit to N rows.
+        outliers: True for the rows to leave out of the errors without outliers, shape (N,); None: those that the fit
+            flagged.
+
+    Returns:
+        Residuals of the N rows, measured minus predicted without their fold, shape (N, D), in the units of the rows'
+        channels, and their errors.
+    """
+    estimate = fitted.estimate
+    problem = estimate.problem
+    rows = problem.rows
+    if outliers is None:
+        outliers = estimate.outliers
+    linear = problem.linear(estimate.x)
+    folds = Folds.of_task(fitted.task, rows)
+    means = fold_posterior_means(fitted, linear, folds.masks)
+    residuals = []
+    for mask, x in zip(folds.masks, means, strict=True):
+        part = linear.select(mask)
+        unseen = seen_only_by(fitted, mask)
+        if np.any(unseen):
+            # Parameters that only these rows see are fitted to them; a row without weight must not move the frame.
+            row, _ = np.nonzero(part.used)
+            root = np.sqrt(problem.weights[mask])[row]
+            by_others = part.residual(np.where(unseen, 0.0, x))[part.used]
+            columns = part.A[part.used][:, unseen]
+            weighted_columns = columns * root[:, None]
+            solution, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
+            x = x.copy()
+            x[unseen] = solution
+
+        standardised = part.residual(x)
+        held_out_rows = rows.select(mask)
+        # As wide as the table, which may have wider rows than these.
+        residual = np.zeros(standardised.shape)
+        width = held_out_rows.width
+        residual[:, :width] = held_out_rows.in_units(standardised[:, :width])
+        residuals.append(residual)
+    return folds.join(rows, residuals, outliers)
+
+
+def fold_posterior_means(
+    fitted: Fitted, linear: LinearProblem, masks: Sequence[Mask] | Mask
+) -> Array:
+    """Return the parameters by the rows outside of each fold, at weights, noise and priors of the fit to all rows.
+
+    Args:
+        fitted: Fit to N rows with p parameters.
+        linear: Its problem, linearised.
+        masks: For each of F folds, True for the rows that it holds out, each of shape (N,).
+
+    Returns:
+        Offsets from the registered start like ``fitted.estimate.x``, shape (F, p).
+    """
+    problem = fitted.estimate.problem
+    weights = np.where(np.array(masks), 0.0, problem.weights)
+    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
+    priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
+    x, _, _ = linear.fit(weights, problem.stop_shares, noise, priors)
+    return np.asarray(x)
+
+
+def held_out_residuals_linear(
+    fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask
+) -> dict[int, Array]:
+    """Return held-out residuals of the folds for which the linear problem is accurate.
+
+    Args:
+        fitted: Fit to all N rows.
+        masks: For each fold, True for the rows that it holds out, each of shape (N,).
+        outliers: Rows that have no part in a registration, shape (N,).
+
+    Returns:
+        Residuals, shape (n, D), in the units of the rows' channels, by the fold's index from 0. Folds that are not in
+        it must be fitted from the beginning: too few rows are left, a parameter would exceed its bounds, or the robot
+        is not linear that far.
+    """
+    estimate = fitted.estimate
+    if not fitted.task.has_weights_and_priors or estimate.at_bound:
+        return {}
+    numbers = [k for k, mask in enumerate(masks) if _leaves_enough_rows(fitted, mask)]
+    if not numbers:
+        return {}
+    linear = estimate.problem.linear(estimate.x)
+    prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
+    held_out = np.array([masks[k] for k in numbers])
+    estimates, freedom = _fit_without_folds(fitted, linear, prior, held_out)
+    low, high = prior.limits.T
+    within_bounds = np.all((estimates >= low) & (estimates <= high), axis=1)
+    admissible = (freedom > FEWEST_FREEDOM) & within_bounds
+
+    rows = estimate.problem.rows
+    residuals = {}
+    for i in np.flatnonzero(admissible).tolist():
+        k = numbers[i]
+        mask = masks[k]
+        # Where the fit without the fold has come to, the linear problem is compared with the robot itself, at the rows
+        # that the fold keeps.
+        residual = estimate.problem.residual(estimates[i])
+        linear_residual = rows.in_units(linear.residual(estimates[i]))
+        difference = (linear_residual - residual) / estimate.problem.scales
+        kept_rows = rows.checked & ~mask & (estimate.weights > 0.0)
+        kept = rows.used & kept_rows[:, None]
+        if not np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR:
+            continue
+
+        residuals[k] = residual[mask]
+        if np.any(seen_only_by(fitted, mask)):
+            # Frames and targets that only the fold sees are registered to its rows.
+            without_fold = replace(fitted, estimate=replace(estimate, x=estimates[i]))
+            residuals[k] = held_out_residual(without_fold, rows, mask, outliers)
+    return residuals
+
+
+def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
+    """Return whether the rows outside of a fold, (N,), are enough for the parameters and frames, and of each kind."""
+    rows = fitted.estimate.problem.rows
+    kept = rows.used & ~mask[:, None]
+    scalars = np.sum(kept, axis=1)
+    if np.sum(scalars) < len(fitted.kinematics.model) + FEWEST_FREEDOM:
+        return False
+    in_frame = np.bincount(rows.samples.frame, scalars)
+    if np.any((in_frame > 0.0) & (in_frame < _FEWEST_SCALARS)):
+        return False
+    return len(np.unique(rows.kind[~mask])) == len(np.unique(rows.kind))
+
+
+def _fit_without_folds(
+    fitted: Fitted,
+    linear: LinearProblem,
+    prior: PriorTerms,
+    masks: Mask,
+) -> tuple[Array, Array]:
+    """Fit the linear problem to the rows outside of each of F folds, (F, N): parameters, (F, p), and freedom, (F,).
+
+    Weights, noise and prior standard deviations are estimated again, unless the folds are small parts of many rows;
+    then the degrees of freedom are not counted, but infinite.
+    """
+    rows = fitted.estimate.problem.rows
+    largest_share = masks.mean(axis=1).max()
+    if len(rows) >= _MANY and largest_share < _SMALL_SHARE:
+        not_counted = np.full(len(masks), np.inf)
+        return fold_posterior_means(fitted, linear, masks), not_counted
+    weighting = Weighting.of(fitted.task.cell.repeats, fitted.task.robust, rows)
+    size = max(_AT_A_TIME // len(rows), 1)
+    x, freedom = [], []
+    for first in range(0, len(masks), size):
+        kept = rows.checked & ~masks[first : first + size]
+        stage = Stage.initial(prior, kept, len(linear.smallest_noise), weighting.start)
+        stage, freedom_of_part = run_stages(stage, lambda _: linear, rows.poses, weighting)
+        x.append(stage.fit(linear)[0])
+        freedom.append(freedom_of_part)
+    return np.concatenate(x), np.concatenate(freedom)

@@ -15,14 +15,16 @@ from calib.basics.arrays import read_only
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
-from calib.fit.selection.candidates import Candidate, mark_chosen, without_vanished_families
-from calib.fit.selection.ladder import (
+from calib.fit.selection.candidates import (
+    Candidate,
     check_parameter_names,
     determinable_families,
     geometry_parameters,
+    mark_chosen,
     model_name,
+    without_vanished_families,
 )
-from calib.fit.selection.reference_fit import explains_more_rows
+from calib.fit.selection.row_weights import explains_more_rows
 from calib.fit.selection.search import Search
 
 #: The most searches: after the first, weights are estimated again with the model that the last one chose.
@@ -79,33 +81,29 @@ def select(task: Task, rows: Rows) -> Selection:
     marked_rows = reference.estimate.problem.rows
     search_task, search_rows = with_known_points(task, reference, marked_rows)
     search = Search(search_task, search_rows, reference, tuple(geometries), families)
-    selection = _select_by(search, start)
 
-    if len(some_rows) == len(rows) and search_task is task:
-        return selection
-    whole_task = replace(selection.chosen.task, setup=task.setup)
-    return replace(selection, chosen=fit(whole_task, rows, registered=reference.setup))
-
-
-def _select_by(search: Search, start: str) -> Selection:
-    """Search until the chosen model's weights choose it again, or the reference explains more rows than it does."""
+    # Until the chosen model's weights choose it again, or the reference explains more rows than it does.
     for number in range(1, _MOST_SEARCHES + 1):
         highest = search.highest_evidence(start)
         geometry = search.best_geometry()
         best = search.best_non_geometric(highest, geometry)
-        task = replace(search.task, model=best)
-        fitted = fit(task, search.rows, registered=search.reference.setup)
-        if explains_more_rows(search.reference, fitted):
-            fitted = fit(task, search.rows, reference=search.reference)
+        best_task = replace(search_task, model=best)
+        chosen = fit(best_task, search_rows, registered=search.reference.setup)
+        if explains_more_rows(search.reference, chosen):
+            chosen = fit(best_task, search_rows, reference=search.reference)
             break
-        same_outliers = np.array_equal(fitted.estimate.outliers, search.reference.estimate.outliers)
+        same_outliers = np.array_equal(chosen.estimate.outliers, search.reference.estimate.outliers)
         if same_outliers or number == _MOST_SEARCHES:
             break
-        search = replace(search, reference=fitted, tried={})
+        search = replace(search, reference=chosen, tried={})
         start = best
     non_geometric = best if "+" in best else ""
     candidates = mark_chosen(search.tried.values(), geometry, non_geometric)
-    return Selection(geometry, non_geometric, candidates, fitted)
+
+    if len(some_rows) < len(rows) or search_task is not task:
+        whole_task = replace(best_task, setup=task.setup)
+        chosen = fit(whole_task, rows, registered=reference.setup)
+    return Selection(geometry, non_geometric, candidates, chosen)
 
 
 def with_known_points(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Rows]:

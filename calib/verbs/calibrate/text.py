@@ -9,7 +9,7 @@ import numpy as np
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.values import one_line
 from calib.fit.registration.rows import USUAL_POSE_NOISE
-from calib.fit.selection.robustness import Robustness
+from calib.fit.selection.row_weights import Robustness
 from calib.model.families import FAMILIES
 from calib.model.parameters import FRAME, TARGET
 from calib.numerics.correlated_noise import PoseNoise

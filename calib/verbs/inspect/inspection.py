@@ -20,10 +20,9 @@ from calib.data.inputs import (
 )
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
-from calib.fit.registration.known_distances import known_distances
 from calib.fit.registration.registration import register
 from calib.fit.registration.rows import Rows
-from calib.fit.registration.setup import Setup
+from calib.fit.registration.setup import Setup, known_distances
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability

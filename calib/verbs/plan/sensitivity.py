@@ -17,7 +17,7 @@ from calib.data.columns import DEFAULT_TARGET
 from calib.data.inputs import GENERIC_TARGET
 from calib.fit.estimate.task import Task
 from calib.fit.registration.setup import Setup
-from calib.fit.registration.table_setup import measurement_setup, with_internals
+from calib.fit.registration.table_rows import measurement_setup, with_internals
 from calib.instruments.camera import USUAL_LIMITS, CameraInstrument, SightLimits
 from calib.instruments.instrument import Instrument, Sightline, transform
 from calib.instruments.tracker import TrackerInstrument

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from calib.data.cell import Cell, Priors
 from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.task import Task
-from calib.fit.registration.known_distances import known_distances
+from calib.fit.registration.setup import known_distances
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
 

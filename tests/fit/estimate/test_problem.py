@@ -9,7 +9,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.fit.estimate.problem import Problem
-from calib.fit.registration.known_distances import KnownDistance
+from calib.fit.registration.setup import KnownDistance
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics

@@ -1,4 +1,4 @@
-"""Solves between stages: each begins where the last one stopped, and none is made where a stage hardly moves."""
+"""Solves between stages begin where the last one stopped, few are made; parameters are held at bounds and released."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.data.cell import Cell
+from calib.data.cell import Cell, Priors
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.solving import StageSolver
+from calib.fit.estimate.solving import StageSolver, _pulled_inwards, _without_holds
 from calib.fit.estimate.special_cases.sole_postures import mark_sole_postures
 from calib.fit.estimate.stages import Stage
 from calib.numerics.solvers import levenberg_marquardt
-from tests.fit.estimate.scene_fits import task_of
+from tests.fit.estimate.scene_fits import fitted, task_of
 
 COUNT = 25
 
@@ -71,3 +71,74 @@ def test_sole_postures_are_marked_once(setting):
     assert marked.rows.sole is not None
     assert marked.rows.sole.shape == (COUNT,)
     assert mark_sole_postures(marked, prior) is marked
+
+
+def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_scene):
+    """Held 1 mm to either side of the optimum, as at a lower and as at an upper bound."""
+    scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
+    given = Priors(source="given")
+    found, _ = fitted(scene, scene.points(25), Cell(priors=given), robust=False)
+    k = found.kinematics.model.index("d1")
+    best = float(found.estimate.x[k])
+
+    def released(value, low, high):
+        x = found.estimate.x.copy()
+        x[k] = value
+        prior = PriorTerms.of(found.task, found.kinematics.model, found.setup)
+        limits = prior.limits.copy()
+        limits[k] = low, high
+        moved, prior = replace(found.estimate, x=x), replace(prior, limits=limits)
+        return _pulled_inwards(moved, prior, {k: value})
+
+    below, above = best - 1e-3, best + 1e-3
+    assert released(below, below, best + 1.0) == {k}
+    assert released(above, best - 1.0, above) == {k}
+    assert released(above, above, best + 2.0) == set()
+    assert released(below, best - 2.0, below) == set()
+    # At the optimum it stays where it is.
+    assert released(best, best, best + 1.0) == set()
+
+
+@pytest.mark.slow
+def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
+    """At the end no bounded parameter could lower the cost by moving inwards (Karush, Kuhn, Tucker)."""
+    prior_std = {"length": 3e-3, "angle": 15e-3, "zero": 15e-3}
+    stopped = 0
+    for seed in range(12):
+        scene = make_scene(seed, frames=[np.eye(4)], noise=1e-4)
+        names = scene.kinematics.model.names
+        chosen = np.random.default_rng(seed).choice(len(names), 8, replace=False)
+        cell = Cell(bounds={names[k]: (-1e-3, 1e-3) for k in chosen}, priors=Priors(source="given"))
+        found, _ = fitted(scene, scene.points(25), cell, robust=False)
+        e, model = found.estimate, found.kinematics.model
+        stopped += len(e.at_bound)
+        for k in chosen:
+            assert abs(e.x[model.index(names[k])]) <= 1e-3 * (1 + 1e-9)
+        precision, centre = e.problem.prior_precision.copy(), e.problem.prior_mean.copy()
+        for k in e.at_bound:
+            precision[k], centre[k] = prior_std[model.parameters[k].family] ** -2, 0.0
+        free = replace(e.problem, prior_precision=precision, prior_mean=centre)
+        r, J = free.system(e.x)
+        slope, bend = J.T @ r, np.sum(J**2, axis=0)
+        for k in e.at_bound:
+            assert slope[k] * np.sign(e.x[k]) < 1e-3 * np.sqrt(bend[k])
+    assert stopped > 20
+
+
+def test_without_holds_each_parameter_has_its_usual_prior(make_scene):
+    """That of its family as estimated, or as given where all of its family were held."""
+    scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
+    found, _ = fitted(scene, scene.points(25), Cell(), robust=False)
+    estimate, model = found.estimate, found.kinematics.model
+    prior = PriorTerms.of(found.task, model, found.setup)
+    k = model.index("d1")
+    held = prior.at_bounds({k: 1e-3})
+    problem = replace(estimate.problem, prior_precision=held.precision, prior_mean=held.mean)
+    released = _without_holds(replace(estimate, problem=problem), prior)
+    np.testing.assert_allclose(released.prior_precision, estimate.problem.prior_precision)
+    assert released.prior_mean[k] == 0.0
+    without_length = {name: std for name, std in estimate.prior_std.items() if name != "length"}
+    released = _without_holds(replace(estimate, prior_std=without_length), prior)
+    assert released.prior_precision[k] == pytest.approx(
+        prior.start[prior.names.index("length")] ** -2
+    )

@@ -12,8 +12,8 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
-from calib.fit.registration.known_distances import known_distances
 from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import known_distances
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.candidates import Candidate
 from calib.model.families import FAMILIES

@@ -15,7 +15,7 @@ from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection import selection
-from calib.fit.selection.ladder import LADDER
+from calib.fit.selection.candidates import LADDER
 from calib.fit.selection.selection import Selection, select, with_known_points
 from tests.fit.selection.models import scene_of
 from tests.images import BOARD, arm, cell, poses, table

@@ -11,7 +11,7 @@ import pytest
 import calib
 from calib.data.cell import Cell
 from calib.fit.registration.rows import USUAL_POSE_NOISE
-from calib.fit.selection.robustness import Robustness
+from calib.fit.selection.row_weights import Robustness
 from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import Errors
 from calib.result.calibrate import calibrate

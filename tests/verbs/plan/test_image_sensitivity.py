@@ -11,7 +11,7 @@ import pytest
 from calib.camera import optics as columns
 from calib.camera.camera import Camera
 from calib.data.cell import Cell, Tracker, TrackerNoise
-from calib.fit.registration.table_setup import with_internals
+from calib.fit.registration.table_rows import with_internals
 from calib.instruments.camera import SightLimits
 from calib.instruments.tracker import TrackerInstrument
 from calib.model.kinematics import Samples

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
-from calib.fit.registration.known_distances import KnownDistance
 from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import KnownDistance
 from calib.model.kinematics import Kinematics
 from calib.numerics.errors import rms
 from calib.robot.ranges import spread_poses
@@ -126,7 +126,10 @@ def find_size_gauge(
 
 
 def _with_setup_growth(growth: Array, derivative: Array, used: Mask, of_setup: Mask) -> Array:
-    """The growth of an arm, (p,), with frames and targets, (p,), that grow so that predictions change least."""
+    """The growth of an arm, (p,), with frames and targets, True in (p,), that grow so that predictions change least.
+
+    Predictions have the derivative (N, D, p), in units of sigma, and count where they are used, (N, D).
+    """
     change = (derivative @ growth)[used]
     of_setup_columns = derivative[used][:, of_setup]
     result: Array = growth.copy()

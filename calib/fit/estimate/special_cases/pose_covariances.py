@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.fit.estimate.bounds import estimate_within_bounds
 from calib.fit.estimate.estimate import Estimate
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.solving import estimate_within_bounds
 from calib.fit.estimate.special_cases.stops import twists_of_joints
 from calib.fit.estimate.stages import FEWEST_FREEDOM
 from calib.fit.estimate.task import Task
@@ -24,10 +24,9 @@ from calib.fit.registration.rows import USUAL_POSE_NOISE, Rows
 from calib.model.kinematics import Kinematics
 from calib.numerics.correlated_noise import (
     POSE,
-    PoseNoise,
+    compare_with_equal,
     likeliest_noise,
     standardisers,
-    support,
 )
 
 #: The most rounds of noise and fit.
@@ -70,10 +69,19 @@ def settle_pose_noise(
         if evidence is None:
             break
         noise = likeliest_noise(*evidence, USUAL_POSE_NOISE)
-        is_settled = _is_settled(problem.rows, noise)
-        problem = problem.with_rows(replace(problem.rows, pose_noise=noise))
+
+        # The relative change of the rows' covariances in every direction.
+        rows = problem.rows
+        assert rows.covariances is not None
+        assert rows.by_joints is not None
+        given = rows.covariances[rows.correlated], rows.by_joints[rows.correlated]
+        W = standardisers(rows.pose_noise.covariances(*given))
+        relative = W @ noise.covariances(*given) @ W.transpose(0, 2, 1)
+        change = np.max(np.abs(np.linalg.eigvalsh(relative) - 1.0))
+
+        problem = problem.with_rows(replace(rows, pose_noise=noise))
         estimate = estimate_within_bounds(problem, task, prior)
-        if is_settled:
+        if change <= _SETTLED:
             break
     return estimate
 
@@ -85,8 +93,8 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
         estimate: The estimate of a fit.
 
     Returns:
-        What `support` gives, and what it would give if residuals were as the covariances and a usual robot say; None
-        if no pose has a covariance, or too few degrees of freedom are left.
+        What `compare_with_equal` gives, and what it would give if residuals were as the covariances and a usual robot
+        say; None if no pose has a covariance, or too few degrees of freedom are left.
     """
     evidence = _evidence(estimate)
     if evidence is None:
@@ -94,15 +102,16 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
     stated, by_joints, squares, weights = evidence
     as_stated = USUAL_POSE_NOISE.covariances(stated, by_joints)
     return (
-        support(stated, by_joints, squares, weights, USUAL_POSE_NOISE),
-        support(stated, by_joints, as_stated, weights, USUAL_POSE_NOISE),
+        compare_with_equal(stated, by_joints, squares, weights, USUAL_POSE_NOISE),
+        compare_with_equal(stated, by_joints, as_stated, weights, USUAL_POSE_NOISE),
     )
 
 
 def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
-    """Return C, J_q J_q^T, S and weights of the poses with a covariance, see `calib.numerics.correlated_noise`.
+    """Return C [m^2, m rad, rad^2], J_q J_q^T [m^2, m, 1] and S, as C, (n, 6, 6) each, and weights, (n,), of n poses.
 
-    None if there are none, or too few degrees of freedom are left.
+    They are those of `calib.numerics.correlated_noise`, of the poses with a covariance that the fit used and others
+    check; None if there are none, or too few degrees of freedom are left.
     """
     problem = estimate.problem
     rows = problem.rows
@@ -116,13 +125,3 @@ def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
     spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
     squares = r[:, :, None] * r[:, None] + spread
     return rows.covariances[chosen], rows.by_joints[chosen], squares, problem.weights[chosen]
-
-
-def _is_settled(rows: Rows, noise: PoseNoise) -> bool:
-    """True if the covariances of rows hardly change with another noise of poses."""
-    assert rows.covariances is not None
-    assert rows.by_joints is not None
-    given = rows.covariances[rows.correlated], rows.by_joints[rows.correlated]
-    W = standardisers(rows.pose_noise.covariances(*given))
-    relative = W @ noise.covariances(*given) @ W.transpose(0, 2, 1)
-    return bool(np.max(np.abs(np.linalg.eigvalsh(relative) - 1.0)) <= _SETTLED)

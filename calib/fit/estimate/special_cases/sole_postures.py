@@ -81,6 +81,11 @@ _SETTLED = 1e-9
 def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
     """Return the problem with the rows of sole postures marked, unless they are already.
 
+    The standard deviation of a pose's prediction from the other rows, over the noise, is sqrt(k / (1 - k)) with the
+    pose's leverage k: the largest eigenvalue of A C A^T, where A is the Jacobian of its scalars and C the covariance of
+    the parameters by all rows, at the first stage. Rows whose frame or target few rows of other poses observe are not
+    marked.
+
     Args:
         problem: The least-squares problem before any estimate.
         prior: Priors as given, at whose means the problem is linearised.
@@ -94,7 +99,27 @@ def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
     linear = problem.linear(prior.mean)
     every_row = np.ones((1, len(rows)), dtype=bool)
     first = Stage.initial(prior, every_row, len(problem.smallest_noise))
-    return replace(problem, rows=replace(rows, sole=_find(linear, rows, first)))
+    _, covariances, _ = first.fit(linear)
+    covariance = covariances[0]
+    block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
+
+    def traces(part: slice) -> Array:
+        """The trace of A_i C A_i^T of each row i of a part, which bounds its largest eigenvalue."""
+        A = linear.A[part]
+        return np.asarray(np.einsum("ndp,ndp->n", A @ covariance, A))
+
+    # Bounds first: a pose whose bound is low needs no eigenvalues.
+    leverage = np.bincount(block, np.concatenate(over_blocks(traces, len(linear))))
+    for b in np.flatnonzero(leverage > _WORTH_A_LOOK).tolist():
+        mask = block == b
+        A = linear.A[mask][rows.used[mask]]
+        leverage[b] = np.linalg.eigvalsh(A @ covariance @ A.T)[-1]
+    leverage = np.clip(leverage, 0.0, _HIGHEST_LEVERAGE)
+    unpredicted = np.sqrt(leverage / (1.0 - leverage))
+    typical = float(np.median(unpredicted))
+    is_sole = unpredicted > max(_UNPREDICTED, _ABOVE_TYPICAL * typical)
+    sole = is_sole[block] & _seen_by_others(rows, block)
+    return replace(problem, rows=replace(rows, sole=sole))
 
 
 def add_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
@@ -139,40 +164,6 @@ def add_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Est
     )
 
 
-def _find(linear: LinearProblem, rows: Rows, first: Stage) -> Mask:
-    """Find the rows of sole postures, (N,); rows whose frame or target few rows of other poses observe are not.
-
-    The standard deviation of a pose's prediction from the other rows, over the noise, is sqrt(k / (1 - k)) with the
-    pose's leverage k: the largest eigenvalue of A C A^T, where A is the Jacobian of its scalars and C the covariance of
-    the parameters by all rows, at the first stage of one fit (B = 1).
-    """
-    _, covariances, _ = first.fit(linear)
-    covariance = covariances[0]
-    block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
-    # Bounds first: the largest eigenvalue is at most the trace.
-    leverage = np.bincount(block, _traces(linear, covariance))
-    for b in np.flatnonzero(leverage > _WORTH_A_LOOK).tolist():
-        mask = block == b
-        A = linear.A[mask][rows.used[mask]]
-        leverage[b] = np.linalg.eigvalsh(A @ covariance @ A.T)[-1]
-    leverage = np.clip(leverage, 0.0, _HIGHEST_LEVERAGE)
-    unpredicted = np.sqrt(leverage / (1.0 - leverage))
-    typical = float(np.median(unpredicted))
-    sole = unpredicted > max(_UNPREDICTED, _ABOVE_TYPICAL * typical)
-    return np.asarray(sole[block] & _seen_by_others(rows, block))
-
-
-def _traces(linear: LinearProblem, covariance: Array) -> Array:
-    """The trace of A_i C A_i^T of each row i, (N,), which bounds the largest eigenvalue of A_i C A_i^T."""
-
-    def work(rows: slice) -> Array:
-        """The traces of some of the rows."""
-        A = linear.A[rows]
-        return np.asarray(np.einsum("ndp,ndp->n", A @ covariance, A))
-
-    return np.concatenate(over_blocks(work, len(linear)))
-
-
 def _seen_by_others(rows: Rows, block: Integers) -> Mask:
     """Rows, (N,), whose frame and target are determined by rows of other poses, numbered by ``block``, (N,)."""
     scalars = np.sum(rows.used, axis=1)
@@ -199,7 +190,7 @@ def _wide_covariance(linear: LinearProblem, stage: Stage) -> Array:
 
 
 def _open_directions(linear: LinearProblem, stage: Stage, sole: Mask) -> Array:
-    """Find the directions of their scalars in which the other rows, and wide priors, do not predict sole postures.
+    """Find the directions of their scalars in which other rows and wide priors do not predict sole postures, (N,).
 
     They are the eigenvectors of the covariance of the prediction, in units of the noise, whose standard deviation is at
     least a share (`_OPEN`) of the largest. Returned is the orthogonal projection of a row's scalars on them,
@@ -221,7 +212,8 @@ def _open_scores(linear: LinearProblem, x: Array, stage: Stage, projections: Arr
 
     With the projection P of a row's scalars, the residual r (measured minus predicted) and the Jacobian A in units of
     the noise, and the covariance C of the parameters by wide priors, the squared score is
-    r^T P (I + P A C A^T P)^-1 P r, converted from the rank of P to three degrees of freedom.
+    r^T P (I + P A C A^T P)^-1 P r, converted from the rank of P to three degrees of freedom. The fit (B = 1) is at the
+    parameters x, (p,); the projections are those of `_open_directions`, (N, D, D).
     """
     covariance = _wide_covariance(linear, stage)
     noise = linear.noise_by_scalar(stage.noise)[0]
@@ -255,7 +247,10 @@ class _Update:
 
     @classmethod
     def of(cls, start: LinearProblem, stage: Stage, weights: Array, projections: Array) -> _Update:
-        """Set up the update of x_o, where the problem is linearised; rows with weights, (N,), above 0 are sole."""
+        """Set up the update of x_o, where the problem is linearised, by the sole rows: those of weights, (N,), above 0.
+
+        The other rows have the weights of the stage (B = 1). All are projected on their open directions, (N, D, D).
+        """
         is_sole = weights > 0.0
         factor = np.where(is_sole, 1.0, _NOISE_OF_OTHERS)
         noise = factor[:, None] * start.noise_by_scalar(stage.noise)[0]
@@ -282,7 +277,10 @@ class _Update:
         return np.vstack([rows, linear.C / _NOISE_OF_OTHERS, np.diag(self.prior)])
 
     def solved(self, linear_at: Callable[[Array], LinearProblem]) -> LinearProblem:
-        """The problem linearised at the minimum: Gauss-Newton steps, halved until the sum of squares does not rise."""
+        """The problem linearised at the minimum, which Gauss-Newton steps find, halved until the squares do not rise.
+
+        ``linear_at`` linearises the problem at parameters x, (p,).
+        """
         linear = self.start
         for _ in range(_UPDATES):
             residual = self.residual(linear)
@@ -302,7 +300,8 @@ class _Update:
 def _joseph_update(covariance: Array, gain: Array, A: Array) -> Array:
     """Covariance of an estimate that M further, whitened scalars move: (I - G A) C (I - G A)^T + G G^T, (p, p).
 
-    The Joseph form, with the gain G, (p, M), and the Jacobian A, (M, p), of the scalars' prediction.
+    The Joseph form, with the covariance C before, (p, p), the gain G, (p, M), and the Jacobian A, (M, p), of the
+    scalars' prediction.
     """
     kept = np.eye(len(covariance)) - gain @ A
     return np.asarray(kept @ covariance @ kept.T + gain @ gain.T)

@@ -127,7 +127,7 @@ class Moments:
         return rho
 
     def _components(self, rho: Array) -> Array:
-        """Solve the equations for theta, (4,), once, at the shares rho: the last three are >= 0.
+        """Solve the equations for theta, (4,), once, at the shares rho, (3,): the last three are >= 0.
 
         A variance that comes out negative is 0, and the others are solved for again; that of a part is 0 too if it
         moves no scalar.
@@ -192,7 +192,7 @@ def root_shares(rho: Array, directions: int) -> Array:
 
 
 def transposed(M: NDArray[np.floating]) -> Array:
-    """Return the transpose of each matrix of a stack, (..., m, n)."""
+    """Return the transposes, (..., n, m), of a stack of matrices, (..., m, n)."""
     return np.asarray(M.swapaxes(-1, -2))
 
 

@@ -243,7 +243,12 @@ class Stops:
         return result
 
     def _moments(self, X: Array, weights: Array, c: int, change: Array, C: Array) -> Moments:
-        """The moments of a fit's residual in one channel; see `estimate_shares` and `_means`."""
+        """The moments of one fit's residual in the channel of index c, from which its shares are estimated.
+
+        X, (n, D, p + 1), are Jacobian and residual at the n rows of stops, in units of the given sigma; the weights are
+        of the table's rows, (N,). The fit's solution has the covariance C, (p, p), and is at the change, (p,), from
+        where the residual was taken.
+        """
         means, J, count = self._means(X, weights, c)
         A = means[..., :-1]
         r = means[..., -1:] - A @ change[:, None]
@@ -262,7 +267,8 @@ class Stops:
     ) -> tuple[Array, Array, float]:
         """The means of M cells in one channel, (M, D, q), the same times K^-1/2, and log det K over all stops.
 
-        X are in units of their noise; see `_means`.
+        X, (n, D, q), are columns at the n rows of stops, in units of their noise, of the channel of index c, weights
+        are of the table's rows, (N,), and rho, (3,), are the shares of the channel's variance; see `_means`.
         """
         means, J, count = self._means(X, weights, c)
         kappa = unshared(rho)

@@ -12,7 +12,7 @@ from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.special_cases.arm_size import _with_setup_growth, find_size_gauge
 from calib.fit.estimate.task import Task
-from calib.fit.registration.known_distances import known_distances
+from calib.fit.registration.setup import known_distances
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.dh_table import dh_table
 from calib.model.error_model import error_model

@@ -18,7 +18,7 @@ from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.special_cases import stops as stops_module
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.fit.selection.linear_folds import fold_posterior_means
+from calib.fit.selection.cross_validation import fold_posterior_means
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.numerics.likelihood import GaussianPriors

@@ -1,22 +1,25 @@
-"""Reference fits: fits whose weights and scores decide which rows are outliers for another fit.
+"""Weights of the rows: a fit compared with fits of other weights, which decide which rows are outliers.
 
 If a model lacks something, its residuals at some good rows may be far larger than at others, and robust weights would
-drop these rows. A larger model explains them. Which of two fits has the better weights is decided by errors on held-out
-rows.
+drop these rows. A larger model, the reference fit, explains them. Which of two fits has the better weights is decided
+by errors on held-out rows. And robust weights rest on the belief that a few rows are accidents: `compare_weights` shows
+the fit with every row in full beside the one with lowered weights.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.basics.arrays import Mask, read_only
+from calib.errors import MeasurementError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.rows import Rows
-from calib.fit.selection.candidates import held_out_rms
-from calib.fit.selection.ladder import determinable_families, model_name
-from calib.fit.selection.linear_folds import linear_cross_validation
+from calib.fit.selection.candidates import determinable_families, held_out_rms, model_name
+from calib.fit.selection.cross_validation import linear_cross_validation
+from calib.numerics.errors import Errors
+from calib.numerics.rigid_motion import without_rigid_motion
 
 
 def explains_more_rows(reference: Fitted, fitted: Fitted) -> bool:
@@ -88,3 +91,63 @@ def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
     model = model_name(str(fitted.task.model), families)
     task = replace(fitted.task, model=model, allow_absent=True)
     return fit(task, rows, registered=fitted.setup)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Robustness:
+    """The fit with the weights of doubtful rows lowered, beside the one with every row in full."""
+
+    #: True if the calibration has the weights lowered, and the other fit every row in full
+    lowered: bool
+    #: Distance between both fits' predictions at the measured poses, rms [m]
+    moved_rms: float
+    #: The largest such distance [m]
+    moved_max: float
+    #: Of rows not flagged, held out on the linearised problem, with weights lowered
+    errors_lowered: Errors
+    #: The same with every row in full
+    errors_full: Errors
+
+
+def compare_weights(fitted: Fitted) -> Robustness:
+    """Fit once more with robust weights if there were none, or without if there were, and compare.
+
+    Args:
+        fitted: Fit to the rows that are compared.
+    """
+    rows = fitted.estimate.problem.rows
+    task = replace(fitted.task, robust=not fitted.task.robust)
+    other = fit(task, replace(rows, weights=None), registered=fitted.setup)
+
+    # Distances between the points that both fits predict. If no row determines where the base stands, a motion of all
+    # points as one body is left out.
+    samples = rows.samples
+    as_one_body = not any(kind.tells_place for kind in rows.present)
+    if as_one_body:
+        samples = replace(samples, frame=np.zeros_like(samples.frame))
+    points = fitted.kinematics.points(fitted.estimate.x, samples)
+    other_points = other.kinematics.points(other.estimate.x, samples)
+    displacements = (other_points - points)[:, :, None]
+    if as_one_body:
+        displacements = without_rigid_motion(points, displacements)
+    distances = np.linalg.norm(displacements[:, :, 0], axis=1)
+
+    robust, full = (fitted, other) if fitted.task.robust else (other, fitted)
+    kept = ~fitted.estimate.outliers
+    try:
+        of_robust = linear_cross_validation(robust).residual[kept]
+        of_full = linear_cross_validation(full).residual[kept]
+    except MeasurementError:  # rows of a single pose, of which none can be held out
+        errors_lowered = errors_full = Errors.of(
+            np.zeros((0, rows.width)), rows.channels.select(slice(0))
+        )
+    else:
+        errors_lowered = Errors.of(of_robust, rows.channels.select(kept))
+        errors_full = Errors.of(of_full, rows.channels.select(kept))
+    return Robustness(
+        lowered=fitted.task.robust,
+        moved_rms=float(np.sqrt(np.mean(distances**2))),
+        moved_max=float(np.max(distances)),
+        errors_lowered=errors_lowered,
+        errors_full=errors_full,
+    )
