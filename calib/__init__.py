@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from calib.data.measurements import Measurements as Measurements
     from calib.data.surroundings import TrackerNoise as TrackerNoise
     from calib.errors import CalibError as CalibError
-    from calib.model import error_model, families as families
+    from calib.model import families as families, parameter_sets as error_model
     from calib.numerics import solvers as solvers
     from calib.result.calibrate import calibrate as calibrate
     from calib.result.calibration import Calibration as Calibration
@@ -93,7 +93,7 @@ _EXTENSIONS = {
     "families": "calib.model.families",
     "formats": "calib.verbs.convert.convert",
     "kinds": "calib.data.kinds",
-    "models": "calib.model.error_model",
+    "models": "calib.model.parameter_sets",
     "plugins": "calib.basics.plugins",
     "solvers": "calib.numerics.solvers",
 }

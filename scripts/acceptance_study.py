@@ -17,8 +17,8 @@ from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.numerics.geometry import pose_of
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot

@@ -27,7 +27,7 @@ from calib.basics.arrays import Array, read_only, rigid_inverse
 from calib.data.cell import Cell, TrackerNoise
 from calib.data.measurements import Measurements
 from calib.errors import CalibError
-from calib.model.error_model import error_model
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot

@@ -30,8 +30,8 @@ from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.numerics.geometry import pose_of
 from calib.result.calibrate import calibrate
 from calib.robot.chain import pinocchio_chain

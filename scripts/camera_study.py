@@ -165,7 +165,7 @@ def against_the_bound(
     fitted = fit(task, rows)
     fresh = fresh_rows(cell, rows, seed, setting)
     x = fitted.estimate.x
-    jacobian = Problem.initial(fitted.kinematics, fresh).jacobian(x)
+    jacobian = Problem.initial(fitted.kinematics, fresh).prediction_jacobian(x)
     error = fitted.residual(fresh)
     variance = of_predictions(jacobian, fitted.estimate.covariance)
     bound = of_predictions(jacobian, bound_of(fitted, task, setting))
@@ -205,7 +205,7 @@ def bound_of(fitted: Fitted, task: Task, setting: Setting) -> Array:
 
     Corners of one image share the errors of the joints, which are uniform within a step.
     """
-    A = fitted.estimate.problem.jacobian(fitted.estimate.x)
+    A = fitted.estimate.problem.prediction_jacobian(fitted.estimate.x)
     by_joints = setting.encoder.angle / np.sqrt(12.0) * joint_jacobian(fitted)
     precision = PriorTerms.of(task, fitted.kinematics.model, fitted.setup).precision.copy()
     for k, parameter in enumerate(fitted.kinematics.model.parameters):

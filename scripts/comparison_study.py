@@ -19,9 +19,9 @@ from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_urdf
-from calib.model.error_model import error_model
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import ErrorModel
+from calib.model.parameter_sets import error_model
 from calib.numerics.geometry import pose_of
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration

@@ -153,7 +153,7 @@ def judge(fitted: Fitted, fresh: Measurements) -> tuple[float, float]:
     """Return the error of the board's place at fresh poses, rms [m], and the share within the 95 % intervals."""
     rows, _ = rows_and_setup(fitted.task.robot, fresh, fitted.task.cell)
     error = fitted.residual(rows)
-    J = Problem.initial(fitted.kinematics, rows).jacobian(fitted.estimate.x)
+    J = Problem.initial(fitted.kinematics, rows).prediction_jacobian(fitted.estimate.x)
     variance = np.einsum("ndp,pq,ndq->nd", J, fitted.estimate.covariance, J)
     covered = np.mean(np.abs(error) < 1.96 * np.sqrt(variance))
     return rms_length(error[:, :3]), float(covered)

@@ -23,8 +23,8 @@ from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.estimate.fitting import Fitted
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameter_sets import error_model
 from calib.numerics.geometry import pose_of
 from calib.result.table_fits import fit_table
 from calib.robot.ranges import random_joint_values

@@ -21,7 +21,7 @@ from rich.progress import Progress
 
 from calib.basics.arrays import Array
 from calib.diagnosis.reasons import Verdict
-from calib.model.parameters import ErrorModel
+from calib.model.error_model import ErrorModel
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot

@@ -18,9 +18,9 @@ from verification_truth import Truth, draw_frame, draw_joint_values
 from calib.basics.arrays import Array
 from calib.data.cell import Cell, GroupDistance
 from calib.data.measurements import Measurements
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import rank_by_gap, steps
+from calib.model.parameter_sets import error_model
 from calib.result.calibration import Calibration
 
 #: Number of other poses at which predictions are compared with the truth.

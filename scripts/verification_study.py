@@ -38,7 +38,7 @@ from verification_truth import Truth, draw_joint_values
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.model.parameters import FRAME
+from calib.model.error_model import FRAME
 from calib.numerics.errors import interval_factor
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration

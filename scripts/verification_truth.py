@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from studies import draw_errors
 
 from calib.basics.arrays import Array
-from calib.model.error_model import error_model
+from calib.model.parameter_sets import error_model
 from calib.numerics.geometry import pose_of
 from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values

@@ -17,8 +17,8 @@ from calib.data.kinds import get
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.fit.registration.rows import Rows
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.gravity import GRAVITY, Payload, gravity_loads

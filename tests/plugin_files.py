@@ -17,7 +17,7 @@ import numpy as np
 from calib.data import kinds
 from calib.verbs.convert import convert
 from calib.model import error_model, families
-from calib.model.parameters import Parameter
+from calib.model.error_model import Parameter
 from calib.numerics import solvers
 
 

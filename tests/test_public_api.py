@@ -14,7 +14,7 @@ from typer.main import get_command
 
 import calib
 import calib.basics.plugins as plugins
-from calib.model.parameters import Parameter
+from calib.model.error_model import Parameter
 from calib.numerics.solvers import Solution
 from calib.program import app
 
@@ -63,7 +63,7 @@ MODULES = {
     "families": "calib.model.families",
     "formats": "calib.verbs.convert.convert",
     "kinds": "calib.data.kinds",
-    "models": "calib.model.error_model",
+    "models": "calib.model.parameter_sets",
     "plugins": "calib.basics.plugins",
     "solvers": "calib.numerics.solvers",
 }

@@ -14,7 +14,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 from arms import load_arm, without_masses
 from studies import draw_errors, joint_values_around, run_cases, run_jobs, table_lines
 
-from calib.model.error_model import error_model
+from calib.model.parameter_sets import error_model
 from calib.robot.gravity import gravity_loads
 
 

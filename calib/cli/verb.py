@@ -73,8 +73,8 @@ class Verb(TyperCommand):
             from calib.data.forms.column_options import BRANDS
             from calib.data.forms.orientations import CONVENTIONS
             from calib.data.kinds import names as kind_names
-            from calib.model.error_model import MODELS
             from calib.model.families import joint_families
+            from calib.model.parameter_sets import MODELS
             from calib.numerics.solvers import SOLVERS
 
             registered = {

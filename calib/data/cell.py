@@ -86,7 +86,7 @@ from calib.data.surroundings import (
     check_box_names,
 )
 from calib.errors import CalibError, FileError, choices
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.geometry import (
     pose_of,
     rotation_or_none,

@@ -35,8 +35,8 @@ from calib.camera.camera_file import camera_of_table, read_camera
 from calib.data.kinds import SIGMAS
 from calib.data.priors import PRIOR_STD_RANGE
 from calib.errors import CalibError, choices
-from calib.model.error_model import DIRECTIONS
 from calib.model.families import FAMILIES
+from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.geometry import FARTHEST, pose_of, pose_or_none, position_in_tip
 
 #: A camera or a board.

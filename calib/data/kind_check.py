@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
 from calib.errors import CalibError
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.differences import disagreement
 
 #: Number of poses n: many, as a camera sees few of them.

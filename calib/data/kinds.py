@@ -36,8 +36,8 @@ from calib.basics.values import Value
 from calib.camera import optics
 from calib.data.kind_check import check_functions
 from calib.errors import CalibError, MeasurementError, choices
-from calib.model.error_model import DIRECTIONS
 from calib.model.internals import Internals, InternalValues, StatedSize
+from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.correlated_noise import POSE_UNITS
 from calib.numerics.geometry import inverse_right_jacobian
 

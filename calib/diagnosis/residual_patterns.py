@@ -25,9 +25,9 @@ from calib.diagnosis.patterns import (
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stations import SOME_FLAGGED
 from calib.fit.estimate.fitting import Fitted
-from calib.model.error_model import error_model
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import ErrorModel
+from calib.model.parameter_sets import error_model
 
 #: Noise below this is rounding, in which any test finds patterns [m, rad].
 ROUNDING_NOISE = 1e-6
@@ -101,7 +101,7 @@ class Residuals:
 
         # Directions in which an error of the expected size moves the scalars by less than their noise were not fitted:
         # such a direction may be the residual itself, scaled or rotated.
-        A = _whiten(fitted, problem.jacobian(x), weights)
+        A = _whiten(fitted, problem.prediction_jacobian(x), weights)
         precision = np.maximum(problem.prior_precision, np.finfo(float).tiny)
         basis, effects, _ = np.linalg.svd(A / np.sqrt(precision), full_matrices=False)
 

@@ -171,7 +171,7 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
         motion = np.sum(significant, axis=0) @ joint.b
 
     by_base = columns[seen][:, :3] @ motion
-    by_arm = problem.jacobian(x)[seen][:, :3, model.of_robot] @ joint.x[model.of_robot]
+    by_arm = problem.prediction_jacobian(x)[seen][:, :3, model.of_robot] @ joint.x[model.of_robot]
     return BaseMotion(
         moved=float(np.linalg.norm(motion[:3])),
         turned=float(np.linalg.norm(motion[3:])),

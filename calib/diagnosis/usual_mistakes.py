@@ -36,7 +36,7 @@ from calib.fit.registration.registration import nominal_setup, register
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 from calib.robot.robot import Robot
 
 #: Nominal errors below this need no other explanation than an uncalibrated arm [m].

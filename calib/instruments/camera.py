@@ -41,7 +41,7 @@ from calib.data.measurements import Measurements
 from calib.data.surroundings import TrackerNoise
 from calib.errors import CalibError, ModelError
 from calib.instruments.instrument import Assumption, Condition, Instrument, Sightline, transform
-from calib.model.parameters import ErrorModel
+from calib.model.error_model import ErrorModel
 from calib.numerics.geometry import pose_of
 from calib.robot.robot import Robot
 

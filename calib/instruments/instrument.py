@@ -27,7 +27,7 @@ from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
-from calib.model.parameters import ErrorModel
+from calib.model.error_model import ErrorModel
 from calib.robot.robot import Robot
 
 #: What an instrument may assume if a cell does not state it.

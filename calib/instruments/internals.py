@@ -20,8 +20,8 @@ from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
+from calib.model.error_model import BOARD, CAMERA, Parameter
 from calib.model.internals import InternalUnknown
-from calib.model.parameters import BOARD, CAMERA, Parameter
 
 #: Standard deviation of what is not known of a lens: of a focal length or the centre [px], and of a distortion.
 _WIDE = {"px": 1e4, "1": 10.0}

@@ -23,7 +23,7 @@ from calib.data.measurements import Measurements
 from calib.data.surroundings import Reflector, TrackerNoise
 from calib.errors import ModelError, choices
 from calib.instruments.instrument import Assumption, Condition, Instrument, Sightline
-from calib.model.parameters import ErrorModel
+from calib.model.error_model import ErrorModel
 from calib.robot.robot import Robot
 
 #: Noise of lengths if none is stated.

@@ -1,368 +1,275 @@
-"""The one error model: every error is a small displacement of a placement, times a parameter.
+"""Parameters of an error model: each is an error, with the place that it acts at and its direction.
 
-A parameter x_k has a *place* (one of the chain's placements, the measurement frame or the target) and a *direction*, a
-twist xi_k in the local frame of that place, linear part first. The displaced placement and its derivative are
-
-    P' = P exp(xi_1 x_1) exp(xi_2 x_2) ...        dP'/dx_k = P' [Ad(exp(xi_(k+1) x_(k+1)) ...)^-1 xi_k]
-
-Along the x axis of a DH frame this is exactly an offset of a or alpha, along the joint's axis one of d or theta. Errors
-of the joints' state (`calib.model.families`) act about the joint's own axis, times a known number of that state.
+See `calib.model.parameter_sets` for the equation. A parameter may be *tied* to another one, x_a = factor x_b; then it
+keeps its term of the equation but is not an unknown of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
-import calib.basics.plugins as plugins
-from calib.basics.arguments import check_type
-from calib.basics.arrays import Array, read_only, rigid_inverse
-from calib.errors import ModelError, choices, did_you_mean
-from calib.model.dh_table import dh_table, zero_poses
-from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
-from calib.model.joint_errors import axis_twists, joint_parameters
-from calib.model.parameters import (
-    FRAME,
-    TARGET,
-    TIP,
-    ErrorModel,
-    Parameter as Parameter,
-    twist_of,
-)
-from calib.robot.dh_rows import dh_frames, screw
-from calib.robot.gravity import GRAVITY
+from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.values import Value
+from calib.errors import ModelError, choices
+from calib.model.families import FAMILIES, Factor
 from calib.robot.robot import Robot
 
-#: The six directions of a frame or a placement: along, then about its axes.
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+#: Place of a measurement frame, followed by the frame's name: ``"(frame)left"``. No URDF has a joint of such a name.
+FRAME = "(frame)"
 
-#: The unit of a parameter in each direction.
-_UNITS = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
+#: Place of the tip: its placement in the last joint.
+TIP = "(tip)"
 
-#: The unit twist in each direction, shape (6,), linear then angular.
-_TWISTS = {direction: read_only(row) for direction, row in zip(DIRECTIONS, np.eye(6), strict=True)}
+#: Place of a target, followed by the target's name.
+TARGET = "(target)"
 
-#: The name of a set of parameters that was given as parameters, not by its name.
-OWN = "own"
+#: Family of the intrinsics of a camera, which are estimated with its frame.
+CAMERA = "camera"
 
-#: Names that no set may have: ``auto``, the choice by the data, and `OWN`.
-_RESERVED = ("auto", OWN)
+#: Family of the errors of a board's print: scale, sag, corners.
+BOARD = "board"
 
-#: An axis within this angle of a coordinate axis counts as that [rad].
-_ALIGNED = 1e-6
+#: Families of parameters that are not errors of the robot.
+SETUP = (FRAME, TARGET, CAMERA, BOARD)
+
+#: A placement that is displaced by less stays as it is, and so does its <origin> [m; rotation matrices: 1].
+_UNMOVED = 1e-12
 
 
-def error_model(
-    robot: Robot,
-    name: str | Sequence[Parameter],
-    *,
-    frame: bool | Mapping[str, Sequence[str]] = False,
-    target: bool | Sequence[str] = True,
-    targets: Sequence[str] = ("",),
-    rotation: bool = False,
-    gravity: ArrayLike = GRAVITY,
-    further: Sequence[Parameter] = (),
-) -> ErrorModel:
-    """Return a named set of parameters for a robot, its measurement frames and its targets.
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameter(Value):
+    """One error: a direction at a place."""
 
-    Args:
-        robot: The nominal robot.
-        name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d between nearly
-            parallel axes), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames`` (no
-            error of the robot at all); after it, each with a "+", any of the families of the joints' state:
-            ``"dh+compliance"``. Or the robot's own parameters themselves: a set called `OWN`.
-        frame: True to estimate all six parameters of the one measurement frame; or for each station which of
-            `DIRECTIONS` are estimated (none for a frame that is known).
-        target: True to estimate all targets, or the names of those that are estimated.
-        targets: The names of all targets; "" for the only one.
-        rotation: True if targets are frames, of which six parameters are estimated; False for points.
-        gravity: Shape (3,), acceleration in the URDF's root [m/s^2]; the family ``gravity`` leaves out what it cannot
-            bend.
-        further: Further parameters, of cameras and boards, which come last.
+    #: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
+    name: str
+    #: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
+    unit: str
+    #: A joint's name, `TIP`, or that of a frame or a target.
+    place: str
+    #: shape (6,), twist in the place's frame, linear then angular, of a unit of the parameter or the joint's motion.
+    direction: Array
+    #: One of `calib.model.families.FAMILIES`, or of `SETUP`.
+    family: str
+    #: The value that it adds to, in its unit: the DH table's, or 0.
+    nominal: float = 0.0
+    #: The function of the joint's state that multiplies it; None for 1.
+    factor: Factor | None = None
+    #: Column of its instrument's internals that it adds to, see `calib.model.internals`; None for one that moves its
+    #: place in its direction.
+    internal: int | None = None
+    #: Columns of the internals and their values in the samples that it changes: the number of the object that has the
+    #: internal (a camera or a board), and that of one point of it (a corner).
+    samples: tuple[tuple[int, int], ...] = ()
 
-    Raises:
-        ModelError: No such set or family; or ``paper`` with an unknown frame, which the paper does not have.
+    @property
+    def of_one_point(self) -> bool:
+        """True for an internal of one point of a target, such as the place of a corner on its print."""
+        return len(self.samples) > 1
 
-    Example:
-        >>> len(error_model(Robot.load("ur3", base="base", tip="tool0"), "paper"))
-        27
-    """
-    if isinstance(frame, bool):
-        frame = {"": DIRECTIONS if frame else ()}
-    if isinstance(target, bool):
-        target = targets if target else ()
-    if isinstance(name, str):
-        set_name, _ = split_name(name)
-        acceleration = tuple(np.asarray(gravity, dtype=np.float64).tolist())
-        robot_parameters = _robot_parameters(robot, name, acceleration)
-    else:
-        set_name = OWN
-        allowed = "the name of a model, or a sequence of Parameters"
-        check_type("model", name, Sequence, allowed)
-        for parameter in name:
-            check_type("model", parameter, Parameter, allowed)
-        robot_parameters = tuple(name)
-    if set_name == "paper" and any(frame.values()):
-        raise ModelError(
-            "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
-            "choose --model dh."
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorModel(Value):
+    """A named list of parameters for one chain, and the terms of the equation that they move."""
+
+    #: The set's name, such as ``"dh"``.
+    name: str
+    #: All places in order: the frames, the joints, the tip, the targets.
+    places: tuple[str, ...]
+    #: The p unknowns, in the order of the parameter vector x.
+    parameters: tuple[Parameter, ...]
+    #: The parameters and those tied to them, in the order in which they act; the parameters if none is tied.
+    terms: tuple[Parameter, ...] = ()
+    #: shape (terms, p): the value of each term is mixing @ x; the identity if none is tied.
+    mixing: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    #: Index, place's index, and twist of each term of a placement, the last first.
+    _backwards: tuple[tuple[int, int, pin.Motion], ...] = field(init=False, repr=False)
+    #: shape (6 places, terms), twist of each term at each place if all values are zero.
+    _undisplaced: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuse names given twice and unknown places; note the place and the twist of each term."""
+        if not self.terms:
+            object.__setattr__(self, "terms", self.parameters)
+            object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
+        of_placements = [
+            (t, term)
+            for t, term in enumerate(self.terms)
+            if term.factor is None and term.internal is None
+        ]
+        names = [term.name for term in self.terms]
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        unknown = sorted({term.place for _, term in of_placements} - set(self.places))
+        if doubled or unknown:
+            raise ModelError(
+                f"The model '{self.name}' has parameters {choices(doubled)} twice, or at unknown places "
+                f"{choices(unknown)}; places are {choices(self.places)}."
+            )
+        place_index = {place: k for k, place in enumerate(self.places)}
+        undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
+        backwards = []
+        for t, term in reversed(of_placements):
+            k = place_index[term.place]
+            undisplaced[6 * k : 6 * k + 6, t] = term.direction
+            backwards.append((t, k, pin.Motion(term.direction)))
+        object.__setattr__(self, "_backwards", tuple(backwards))
+        object.__setattr__(self, "_undisplaced", read_only(undisplaced))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The symbols of the parameters' units."""
+        return tuple(p.unit for p in self.parameters)
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """The families that the model has parameters of, in the order of the registry."""
+        present = {p.family for p in self.parameters}
+        return tuple(name for name in FAMILIES if name in present)
+
+    def __len__(self) -> int:
+        """The number p of parameters."""
+        return len(self.parameters)
+
+    @property
+    def of_robot(self) -> Mask:
+        """The parameters that are errors of the robot, not of frames, targets, cameras or boards; shape (p,)."""
+        return ~self.family(*SETUP)
+
+    @property
+    def internals(self) -> tuple[tuple[int, Parameter], ...]:
+        """Index and parameter of each internal of an instrument that is estimated."""
+        return tuple((k, p) for k, p in enumerate(self.parameters) if p.internal is not None)
+
+    def family(self, *names: str) -> Mask:
+        """Return the mask of the parameters that belong to one of the families named, shape (p,)."""
+        return np.array([p.family in names for p in self.parameters], dtype=bool)
+
+    def index(self, name: str) -> int:
+        """Return the position of a parameter in x, from 0; ModelError if the model has none of that name."""
+        if name not in self.names:
+            raise ModelError(
+                f"The model '{self.name}' has no parameter '{name}'; it has {choices(self.names, limit=60)}."
+            )
+        return self.names.index(name)
+
+    def without(self, names: Iterable[str]) -> ErrorModel:
+        """Return the model with these parameters, and those tied to them, frozen at their nominal values.
+
+        Raises:
+            ModelError: The model has no parameter of such a name.
+        """
+        frozen = {self.index(name) for name in names}
+        if not frozen:
+            return self
+        kept = [k for k in range(len(self)) if k not in frozen]
+        return self._mixed(kept, self.mixing[:, kept])
+
+    def tied(self, ties: Mapping[str, tuple[str, float]]) -> ErrorModel:
+        """Return the model with some parameters following others, x_follower = factor x_leader.
+
+        Args:
+            ties: Leader's name and factor by the follower's name. A leader stays free.
+
+        Raises:
+            ModelError: A name is not that of a parameter, a leader is a follower too, or their units differ.
+        """
+        if not ties:
+            return self
+        mixing = self.mixing.copy()
+        for name, (leader_name, factor) in ties.items():
+            follower = self.index(name)
+            leader = self.index(leader_name)
+            unit = self.units[follower]
+            leader_unit = self.units[leader]
+            if leader_name in ties or follower == leader or unit != leader_unit:
+                raise ModelError(
+                    f"'{name}' [{unit}] cannot follow '{leader_name}' [{leader_unit}]: parameters are tied to one "
+                    "that is free and of the same unit."
+                )
+            mixing[:, leader] += factor * mixing[:, follower]
+        free = [k for k, name in enumerate(self.names) if name not in ties]
+        return self._mixed(free, mixing[:, free])
+
+    def _mixed(self, kept: list[int], mixing: Array) -> ErrorModel:
+        """Return the model of the parameters with these p' indices, and the terms that ``mixing`` (terms, p') moves."""
+        used = np.flatnonzero(mixing.any(axis=1))
+        return replace(
+            self,
+            parameters=tuple(self.parameters[k] for k in kept),
+            terms=tuple(self.terms[t] for t in used),
+            mixing=read_only(mixing[used]),
         )
-    outer = frame_and_target_model(frame, target, targets, rotation=rotation)
-    joints = tuple(joint.name for joint in robot.joints)
-    model = ErrorModel(
-        name=name if isinstance(name, str) else OWN,
-        places=(*outer.places[: len(frame)], *joints, *outer.places[len(frame) :]),
-        parameters=(*robot_parameters, *outer.parameters, *further),
-    )
-    if set_name == "zeros":
-        return model.tied(_follower_ties(robot))
-    return model
+
+    @property
+    def joint_terms(self) -> tuple[int, ...]:
+        """The indices of the terms that change with the joints' state."""
+        return tuple(t for t, term in enumerate(self.terms) if term.factor is not None)
+
+    def values(self, x: Array) -> Array:
+        """Return the value of every term in its unit, shape (terms,), at the parameters x, shape (p,)."""
+        return np.asarray(self.mixing @ x)
+
+    def displacements(self, x: Array) -> tuple[Array, Array]:
+        """Return the displacement of every place, and the twist of a unit of each parameter there.
+
+            P' = P D,    D = exp(xi_1 x_1) exp(xi_2 x_2) ...,    dD/dx_k = D [twist of column k]
+
+        Args:
+            x: Shape (p,), the parameters in their units.
+
+        Returns:
+            D, shape (places, 4, 4), [m]; and the twists, shape (6 places, p): rows 6 k to 6 k + 5 are those at place
+            k, in the displaced frame, linear then angular.
+        """
+        values = self.values(x)
+        twists = self._undisplaced.copy()
+        displacements = np.tile(np.eye(4), (len(self.places), 1, 1))
+        if values.any():
+            # Backwards, so that the product of the factors after each term is at hand, past which its twist is carried.
+            products: dict[int, pin.SE3] = {}
+            numbers = values.tolist()
+            for t, k, twist in self._backwards:
+                later = products.get(k)
+                factor = pin.exp6(twist * numbers[t])
+                if later is not None:
+                    twists[6 * k : 6 * k + 6, t] = later.actInv(twist).vector
+                    factor = factor * later
+                products[k] = factor
+            for k, product in products.items():
+                displacements[k] = product.homogeneous
+        if self.terms is not self.parameters:
+            twists = twists @ self.mixing
+        return displacements, twists
+
+    def apply(self, robot: Robot, x: Array) -> Robot:
+        """Return the robot with its placements displaced: the geometric model, as a URDF holds it.
+
+        Args:
+            robot: The nominal robot.
+            x: Shape (p,), the parameters; those of frames, targets and the joints' state are left out.
+
+        Raises:
+            UrdfError: A placement is displaced that no URDF joint carries.
+        """
+        if not np.any(x):
+            return robot
+        displacements, _ = self.displacements(x)
+        placements = robot.placements.copy()
+        first = self.places.index(TIP) - len(robot.joints)
+        for i, displacement in enumerate(displacements[first : first + len(placements)]):
+            if np.abs(displacement - np.eye(4)).max() > _UNMOVED:
+                placements[i] = placements[i] @ displacement
+        return robot.with_placements(placements)
 
 
-@lru_cache(maxsize=64)
-def _robot_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tuple[Parameter, ...]:
-    """Return the parameters of the robot itself by the model's name; folds, candidates and trials ask repeatedly."""
-    set_name, families = split_name(name)
-    parameters = list(MODELS[set_name](robot))
-    for family in families:
-        parameters += joint_parameters(robot, family, gravity)
-    return tuple(parameters)
-
-
-def frame_and_target_model(
-    frames: Mapping[str, Sequence[str]],
-    estimated: Sequence[str],
-    targets: Sequence[str],
-    *,
-    rotation: bool = False,
-) -> ErrorModel:
-    """Return the parameters of frames and targets alone, for given poses of the tip.
-
-    Args:
-        frames: Which of `DIRECTIONS` are estimated, by the name of each measurement frame; () for a known one.
-        estimated: Names of the targets that are estimated.
-        targets: Names of all targets.
-        rotation: True if targets are frames, of which six parameters are estimated; False for points.
-    """
-    parameters = []
-    for name, directions in frames.items():
-        parameters += _placed_parameters("frame", FRAME, name, directions)
-    target_directions = DIRECTIONS if rotation else DIRECTIONS[:3]
-    for name in estimated:
-        parameters += _placed_parameters("target", TARGET, name, target_directions)
-    frame_places = [FRAME + name for name in frames]
-    target_places = [TARGET + name for name in targets]
-    places = (*frame_places, TIP, *target_places)
-    return ErrorModel("frames", places, tuple(parameters))
-
-
-def _placed_parameters(
-    prefix: str,
-    family: str,
-    name: str,
-    directions: Iterable[str],
-) -> list[Parameter]:
-    """Return the parameters of a frame or target in some of `DIRECTIONS`; their names begin with the prefix."""
-    return [
-        Parameter(
-            name=placed_name(prefix, direction, name),
-            unit=_UNITS[direction],
-            place=f"{family}{name}",
-            direction=_TWISTS[direction],
-            family=family,
-        )
-        for direction in DIRECTIONS
-        if direction in directions
-    ]
-
-
-def _follower_ties(robot: Robot) -> dict[str, tuple[str, float]]:
-    """Return ties of the zeros of joints that follow the same column of q, for `ErrorModel.tied`.
-
-    The leader is the column's own joint, or the first follower if one slides and the other turns. The factor is the
-    ratio of the mimic multipliers.
-    """
-    ties = {}
-    for column, driver in enumerate(robot.joint_names):
-        followers: dict[bool, list[tuple[str, float]]] = {False: [], True: []}
-        for joint, multiplier in zip(robot.joints, robot.mimic_matrix[:, column], strict=True):
-            if multiplier:
-                followers[joint.type == "prismatic"].append((joint.name, multiplier))
-        for alike in followers.values():
-            alike.sort(key=lambda pair: pair[0] != driver)
-            for name, multiplier in alike[1:]:
-                leader, leader_multiplier = alike[0]
-                factor = float(multiplier / leader_multiplier)
-                ties[f"{name}.zero"] = (f"{leader}.zero", factor)
-    return ties
-
-
-def split_name(name: str) -> tuple[str, tuple[str, ...]]:
-    """Return a model's set and the families added to it: ``"dh+gain"`` is ``("dh", ("gain",))``.
-
-    Raises:
-        ModelError: There is no such set or family, or a family is added twice.
-    """
-    base, *families = (part.strip() for part in name.split("+"))
-    wrong = [f for f in families if f not in joint_families() or families.count(f) > 1]
-    if base not in MODELS or wrong:
-        fault = f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'"
-        if base not in MODELS:
-            fault = f"There is no parameter set '{base}'{did_you_mean(base, MODELS)}"
-        raise ModelError(
-            f"{fault}. Choose 'auto', or one of {choices(MODELS)} and after it, each once and with a '+', any of "
-            f"{choices(joint_families())}. {plugins.HINT}"
-        )
-    return base, tuple(families)
-
-
-def placed_name(prefix: str, direction: str, name: str) -> str:
-    """Return the name of a parameter of a frame or target: ``"target_x"``, or ``"target_x[left]"`` of one with a name.
-
-    Args:
-        prefix: ``"frame"`` or ``"target"``.
-        direction: One of `DIRECTIONS`.
-        name: The frame's or the target's name; "" for the only one.
-    """
-    return f"{prefix}_{direction}[{name}]" if name else f"{prefix}_{direction}"
-
-
-def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
-    """Return a_i, alpha_i, d_i, theta_i of each DH row, row by row; with ``hayati`` beta_i in place of some d_i.
-
-    a_i and alpha_i act on the placement after joint i, and are left out if no <origin> carries it, such as the tip's:
-    the target takes their place. d_i and theta_i act on that of joint i. With ``hayati``, a row between nearly parallel
-    axes has beta_i in place of d_i.
-    """
-    table = dh_table(robot)
-    T_base_joint, T_base_tip = zero_poses(robot)
-    T_base_next = [*T_base_joint[1:], T_base_tip]
-    zeros = np.zeros(3)
-    parameters = []
-    for i, (row, frame) in enumerate(zip(table.rows, dh_frames(table), strict=True)):
-        number = i + 1
-        is_last = number == len(table.rows)
-        with_beta = hayati and row.near_parallel and not is_last
-
-        after = []
-        if robot.carriers[number] is not None:
-            place = TIP if is_last else robot.joints[number].name
-            T_next_row = rigid_inverse(T_base_next[i]) @ frame
-            x = T_next_row[:3, 0]
-            origin = T_next_row[:3, 3]
-            along_x = twist_of(x, zeros)
-            about_x = twist_of(np.cross(origin, x), x)
-            after.append(Parameter(f"a{number}", "m", place, along_x, LENGTH, row.a))
-            after.append(Parameter(f"alpha{number}", "rad", place, about_x, ANGLE, row.alpha))
-            if with_beta:
-                y = (T_next_row @ screw(1, row.beta, 0.0))[:3, 1]
-                about_y = twist_of(np.cross(origin, y), y)
-                after.append(Parameter(f"beta{number}", "rad", place, about_y, ANGLE, row.beta))
-
-        before = []
-        axis = np.asarray(robot.joints[i].axis)
-        if not with_beta:
-            along = twist_of(axis, zeros)
-            before.append(_before_joint(robot, i, f"d{number}", along, LENGTH, row.d))
-        family = ANGLE if row.prismatic else ZERO
-        about = twist_of(zeros, axis)
-        before.append(_before_joint(robot, i, f"theta{number}", about, family, row.theta))
-
-        # If d and theta act at the same place as a and alpha, they come first, as in the row's product.
-        if robot.carriers[i] is not None:
-            parameters += after + before
-        else:
-            parameters += before + after
-    return parameters
-
-
-def _before_joint(
-    robot: Robot,
-    i: int,
-    name: str,
-    twist: Array,
-    family: str,
-    nominal: float = 0.0,
-) -> Parameter:
-    """Return a parameter at the placement of joint i, or at the next one if no <origin> carries that.
-
-    Its twist, shape (6,), is along or about the joint's axis, in the joint's frame; it adds to the nominal value.
-    """
-    unit = "m" if twist[:3].any() else "rad"
-    place = robot.joints[i].name
-    if robot.carriers[i] is None:
-        place = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
-        T_joint_next = pin.SE3(robot.placements[i + 1])
-        twist = read_only(T_joint_next.toActionMatrixInverse() @ twist)
-    return Parameter(name, unit, place, twist, family, nominal)
-
-
-def _placement_parameters(robot: Robot) -> list[Parameter]:
-    """Return ``<joint>.x`` to ``<joint>.rz`` of each joint, and ``<joint>.zero`` if it turns about another axis.
-
-    A joint that moves the base directly, without an <origin>, has none: what can be known about it is in the next one.
-    """
-    parameters = []
-    for joint, carrier, twist in zip(
-        robot.joints, robot.carriers[:-1], axis_twists(robot), strict=True
-    ):
-        if carrier is None:
-            continue
-        turns = joint.type != "prismatic"
-        nearest = int(np.argmax(np.abs(joint.axis)))
-        is_aligned = abs(abs(joint.axis[nearest]) - 1.0) < 0.5 * _ALIGNED**2
-        zero = DIRECTIONS[3 + nearest] if turns and is_aligned else None
-        for direction in DIRECTIONS:
-            unit = _UNITS[direction]
-            family = LENGTH if unit == "m" else ANGLE
-            if direction == zero:
-                family = ZERO
-            name = f"{joint.name}.{direction}"
-            parameters.append(Parameter(name, unit, joint.name, _TWISTS[direction], family))
-        if turns and zero is None:
-            parameters.append(Parameter(f"{joint.name}.zero", "rad", joint.name, twist, ZERO))
-    return parameters
-
-
-def _zero_parameters(robot: Robot) -> list[Parameter]:
-    """Return the zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one."""
-    parameters = []
-    for i, (joint, twist) in enumerate(zip(robot.joints, axis_twists(robot), strict=True)):
-        family = LENGTH if twist[:3].any() else ZERO
-        parameters.append(_before_joint(robot, i, f"{joint.name}.zero", twist, family))
-    return parameters
-
-
-#: The named sets of a robot's own parameters, by the name that a model begins with.
-MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
-    "paper": _dh_parameters,
-    "dh": _dh_parameters,
-    "hayati": partial(_dh_parameters, hayati=True),
-    "placement": _placement_parameters,
-    "zeros": _zero_parameters,
-    "frames": lambda _robot: [],  # no error of the robot: frame and target alone
-}
-
-plugins.watch("models", MODELS)
-
-
-def register(name: str, parameters: Callable[[Robot], list[Parameter]]) -> None:
-    """Add a parameter set, which models can then name: ``"shoulder"``, ``"shoulder+gain"``.
-
-    Args:
-        name: Its name, which no other set has.
-        parameters: A function from the nominal robot to the robot's own parameters.
-
-    Raises:
-        ModelError: The name is taken, has a "+", or means something else.
-    """
-    taken = (*MODELS, *_RESERVED)
-    if name in taken or "+" in name:
-        raise ModelError(
-            f"The parameter set '{name}' needs a name without '+', other than {choices(taken, 60)}."
-        )
-    MODELS[name] = parameters
+def twist_of(linear: Array, angular: Array) -> Array:
+    """Return a twist, shape (6,), read-only: its linear, then its angular part, both of shape (3,)."""
+    return read_only(np.concatenate([linear, angular]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.model.parameters import Parameter
+from calib.model.error_model import Parameter
 
 #: In place of the index of a parameter, for a number that no parameter changes.
 FIXED = -1

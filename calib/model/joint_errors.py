@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.basics.arrays import Array, read_only
+from calib.model.error_model import Parameter, twist_of
 from calib.model.families import ENDS, JointState, factor_of, family_of
-from calib.model.parameters import Parameter, twist_of
 from calib.robot.gravity import GRAVITY, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot

@@ -2,7 +2,7 @@
 
     T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T
 
-with the measurement frame F, the target T in the tip, the displacements D of `calib.model.error_model` and the
+with the measurement frame F, the target T in the tip, the displacements D of `calib.model.parameter_sets` and the
 joints' own errors dq of `joint_displacements`.
 """
 
@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.values import Value
+from calib.model.error_model import ErrorModel
 from calib.model.internals import InternalValues, changed_internals
 from calib.model.joint_errors import joint_displacements
-from calib.model.parameters import ErrorModel
 from calib.robot import kernel
 from calib.robot.robot import Robot
 

@@ -1,7 +1,7 @@
 """calibrate: a robot and measurements in, a result out.
 
 The steps: fit the models (`calib.result.table_fits`), cross-validate the geometry, the nominal robot and the
-non-geometric model, assemble the result, and judge it (`calib.result.verdicts`).
+non-geometric model, assemble the result, and judge it (`calib.result.collected_evidence`).
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.fit.selection.row_weights import compare_weights
-from calib.model.parameters import Parameter
+from calib.model.error_model import Parameter
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
 from calib.result.calibration import Calibration
+from calib.result.collected_evidence import add_verdicts
 from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.joint_zeros import joint_zeros
 from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
 from calib.result.result_optics import result_optics
 from calib.result.table_fits import TableFits, fit_table
-from calib.result.verdicts import add_verdicts
 
 
 @one_blas_thread()

@@ -22,8 +22,8 @@ from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
 from calib.fit.registration.setup import Setup
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Samples
-from calib.model.parameters import ErrorModel
 from calib.numerics.errors import CrossValidation, Errors
 from calib.result.fitted_model import FittedModel, NonGeometric, ParameterEstimate
 from calib.result.joint_zeros import JointZeros
@@ -139,7 +139,7 @@ class Calibration(Value):
                 the URDF has another link ``calib_target``.
             ModelError: Several targets, which one link cannot stand for.
         """
-        written = shown_by("verbs.calibrate.corrected_urdf")
+        written = shown_by("verbs.calibrate.write_urdf")
         urdf: Urdf = written.checked_urdf(self, target_link=target_link)
         return urdf
 
@@ -170,7 +170,7 @@ class Calibration(Value):
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
-        written = shown_by("verbs.calibrate.corrected_urdf")
+        written = shown_by("verbs.calibrate.write_urdf")
         return Path(
             written.write_urdf(
                 self, path, overwrite=overwrite, target_link=target_link, accept=accept

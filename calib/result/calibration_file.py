@@ -34,10 +34,10 @@ from calib.errors import CalibError, FileError, PluginError
 from calib.fit.registration.setup import Setup
 from calib.fit.selection.candidates import Candidate
 from calib.fit.selection.row_weights import Robustness
+from calib.model.error_model import SETUP, ErrorModel, Parameter
 from calib.model.families import FAMILIES, Factor, factor_of
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
-from calib.model.parameters import SETUP, ErrorModel, Parameter
 from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats

@@ -21,9 +21,9 @@ from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
+from calib.model.error_model import FRAME, TARGET, ErrorModel
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
-from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.rigid_motion import best_motion, displacements_by
 from calib.robot.gravity import Payload, gravity_loads

@@ -20,7 +20,7 @@ from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
-from calib.model.parameters import BOARD, CAMERA, Parameter
+from calib.model.error_model import BOARD, CAMERA, Parameter
 from calib.result.fitted_model import FittedModel
 
 

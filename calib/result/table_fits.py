@@ -30,8 +30,8 @@ from calib.fit.registration.table_rows import joint_loads, rows_and_setup
 from calib.fit.selection.candidates import Candidate, check_parameter_names
 from calib.fit.selection.row_weights import fit_with_all_families, with_better_weights
 from calib.fit.selection.selection import select
-from calib.model.error_model import OWN, split_name
-from calib.model.parameters import Parameter
+from calib.model.error_model import Parameter
+from calib.model.parameter_sets import OWN, split_name
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
 from calib.robot.robot import Robot

@@ -22,8 +22,8 @@ from calib.data import kinds
 from calib.data.cell import Cell
 from calib.errors import CalibError, PluginError
 from calib.fit.estimate.task import Task
-from calib.model.error_model import MODELS, split_name
 from calib.model.families import FAMILIES
+from calib.model.parameter_sets import MODELS, split_name
 from calib.numerics.solvers import SOLVERS
 from calib.result.calibration_file import read_result, write_result
 from calib.robot.robot import Robot
@@ -122,11 +122,11 @@ def test_what_a_plugin_loads_itself_is_not_its_own(tmp_path):
             "The solver 'paper' needs a name other than 'lm', 'scipy', 'paper' (line 2 of bad.py)",
         ),
         (
-            "from calib.model.error_model import *\nregister('dh', None)",
+            "from calib.model.parameter_sets import *\nregister('dh', None)",
             "The parameter set 'dh' needs a name without '+', other than 'paper', 'dh'",
         ),
         (
-            "from calib.model.error_model import *\nregister('a+b', None)",
+            "from calib.model.parameter_sets import *\nregister('a+b', None)",
             "The parameter set 'a+b' needs a name without '+'",
         ),
         (

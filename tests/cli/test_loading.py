@@ -13,7 +13,7 @@ from calib.cli.options import FitOptions, TableOptions
 from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.example import paper_urdf
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 from calib.result.calibration_file import read_result
 from calib.robot.robot import Robot
 

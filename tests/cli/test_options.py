@@ -29,8 +29,8 @@ from calib.cli.verb import Verb, verb
 from calib.data import kinds
 from calib.data.forms.column_options import ColumnOptions
 from calib.errors import CalibError, FileError, ModelError
-from calib.model.error_model import MODELS
 from calib.model.families import joint_families
+from calib.model.parameter_sets import MODELS
 from calib.numerics.solvers import SOLVERS
 from calib.program import app as program
 from calib.verbs.convert.convert import FORMATS

@@ -16,7 +16,7 @@ from calib.data.cell import Cell, GroupDistance, Priors, TrackerNoise
 from calib.data.cell_keys import frame_of
 from calib.data.record import Record
 from calib.errors import CalibError, FileError
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 from tests.places import ROOT
 
 DISTANCE = """

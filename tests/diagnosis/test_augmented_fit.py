@@ -14,8 +14,8 @@ from calib.diagnosis.augmented_fit import (
     estimate_jointly,
     gain_on_blocks,
 )
+from calib.model.error_model import FRAME
 from calib.model.kinematics import Sightings
-from calib.model.parameters import FRAME
 from calib.robot.ranges import random_joint_values
 from tests.judged import arm, fit_to, moved, table_of
 

@@ -3,265 +3,156 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings, strategies as st
 
 from calib.errors import ModelError
-from calib.example import PAPER_TARGET
-from calib.model.dh_table import dh_table
-from calib.model.error_model import (
-    DIRECTIONS,
-    error_model,
-)
-from calib.model.families import ANGLE, LENGTH, ZERO
-from calib.model.kinematics import Kinematics
-from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
-from calib.robot.dh_rows import DHTable
+from calib.example import paper_urdf
+from calib.model.error_model import FRAME, TARGET, TIP, ErrorModel, Parameter
+from calib.model.families import ANGLE, LENGTH, Factor
+from calib.model.parameter_sets import error_model
 from calib.robot.robot import Robot
-from tests.robot.shared import joint, urdf_of
 
 COMPLIANCE, ECCENTRICITY, GAIN = "compliance", "eccentricity", "gain"
 
-PAPER_NAMES = (
-    *(f"{kind}{row}" for row in range(1, 7) for kind in ("a", "alpha", "d", "theta")),
-    *(f"target_{axis}" for axis in "xyz"),
-)
+PLACES = (FRAME, "j1", "j2", TIP, TARGET)
 
 
-def paper_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
-    """The paper's A_i, written out."""
-    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-    return np.array(
-        [
-            [ct, -st * ca, st * sa, a * ct],
-            [st, ct * ca, -ct * sa, a * st],
-            [0, sa, ca, d],
-            [0, 0, 0, 1],
-        ]
+def some(
+    name: str, unit: str = "m", place: str = "j1", k: int = 0, factor: Factor | None = None
+) -> Parameter:
+    """A parameter along or about an axis of a place."""
+    return Parameter(name, unit, place, np.eye(6)[k], LENGTH if k < 3 else ANGLE, factor=factor)
+
+
+@pytest.fixture
+def four() -> ErrorModel:
+    """Two lengths and two angles on two joints."""
+    return ErrorModel(
+        "four",
+        PLACES,
+        (some("a", k=0), some("b", "rad", k=4), some("c", "m", "j2", 1), some("d", "rad", "j1", 5)),
     )
 
 
-def rotation_y(beta: float) -> np.ndarray:
-    return pin.SE3(pin.exp3(np.array([0.0, beta, 0.0])), np.zeros(3)).homogeneous
+# What a model says of itself
 
 
-def pose_of_rows(table: DHTable, q: np.ndarray, offsets: dict[str, float]) -> np.ndarray:
-    """T_base_tip from the rows with offsets added, by the paper's matrices and Hayati's Ry."""
-    T = table.T_base_0
-    for i, row in enumerate(table.rows, start=1):
-        turn, slide = (0.0, q[i - 1]) if row.prismatic else (q[i - 1], 0.0)
-        T = T @ paper_matrix(
-            row.theta + turn + offsets.get(f"theta{i}", 0.0),
-            row.d + slide + offsets.get(f"d{i}", 0.0),
-            row.a + offsets.get(f"a{i}", 0.0),
-            row.alpha + offsets.get(f"alpha{i}", 0.0),
-        )
-        T = T @ rotation_y(row.beta + offsets.get(f"beta{i}", 0.0))
-    return T @ table.T_n_tip
+def test_an_unknown_parameter_lists_those_there_are(four):
+    with pytest.raises(ModelError, match=r"'four' has no parameter 'e'; it has 'a', 'b', 'c', 'd'"):
+        four.index("e")
 
 
-def offsets_of(model: ErrorModel, seed: int = 0) -> np.ndarray:
-    """Large offsets, up to 1 cm and 0.1 rad."""
-    size = [0.01 if p.unit == "m" else 0.1 for p in model.parameters]
-    return np.random.default_rng(seed).uniform(-1, 1, len(model)) * size
+# Ties
 
 
-def tilted(robot: Robot, seed: int = 1) -> Robot:
-    """A robot whose axes are all off by some mrad, as a real one's are."""
-    model = error_model(robot, "placement", target=False)
-    return model.apply(robot, np.random.default_rng(seed).normal(0, 3e-3, len(model)))
+def test_a_tied_parameter_keeps_its_term_and_is_no_unknown(four):
+    tied = four.tied({"c": ("a", -2.0)})
+    assert tied.names == ("a", "b", "d")
+    assert [t.name for t in tied.terms] == ["a", "b", "c", "d"]
+    np.testing.assert_array_equal(tied.mixing, [[1, 0, 0], [0, 1, 0], [-2, 0, 0], [0, 0, 1]])
+    assert not tied.mixing.flags.writeable
+    np.testing.assert_array_equal(tied.values(np.array([1.0, 2.0, 3.0])), [1, 2, -2, 3])
+    # the free model is as it was
+    assert (four.names, four.mixing.shape) == (("a", "b", "c", "d"), (4, 4))
 
 
-# The sets
-
-
-def test_the_paper_s_27_parameters(ur3):
-    model = error_model(ur3, "paper")
-    assert model.names == PAPER_NAMES
-    assert len(model) == 27
-    families = {"a": LENGTH, "alpha": ANGLE, "d": LENGTH, "theta": ZERO, "target_": TARGET}
-    for p in model.parameters:
-        assert p.family == families[p.name.rstrip("123456xyz")]
-        assert p.unit == ("rad" if p.family in (ANGLE, ZERO) else "m")
-    assert model.families == (LENGTH, ANGLE, ZERO)
-    nominal = {p.name: p.nominal for p in model.parameters}
-    np.testing.assert_allclose((nominal["a2"], nominal["d4"]), (-0.24365, 0.11235), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "count"),
-    [("dh", 24), ("hayati", 24), ("placement", 36), ("zeros", 6), ("frames", 0)],
-)
-@pytest.mark.parametrize("frame", [False, True])
-@pytest.mark.parametrize("target", [False, True])
-def test_the_sizes_of_the_sets(ur3, name, count, frame, target):
-    model = error_model(ur3, name, frame=frame, target=target)
-    assert len(model) == count + 6 * frame + 3 * target
-    assert model.family(FRAME).sum() == 6 * frame
-    assert model.family(TARGET).sum() == 3 * target
-    assert model.family(*(LENGTH, ANGLE, ZERO)).sum() == count
-    assert model.places == (FRAME, *ur3.joint_names, TIP, TARGET)
-
-
-def test_hayati_has_beta_in_place_of_d_where_axes_are_parallel(ur3):
-    dh, hayati = (set(error_model(ur3, name).names) for name in ("dh", "hayati"))
-    assert dh - hayati == {"d2", "d3"}
-    assert hayati - dh == {"beta2", "beta3"}
-
-
-# Several frames and targets, by name
-
-
-def test_frames_and_targets_by_name(ur3):
-    model = error_model(
-        ur3,
-        "frames",
-        frame={"left": DIRECTIONS, "right": (), "top": ("rz", "x")},
-        targets=("ball", "cone"),
-    )
-    assert model.places == (
-        *("(frame)left", "(frame)right", "(frame)top"),
-        *ur3.joint_names,
-        TIP,
-        *("(target)ball", "(target)cone"),
-    )
-    assert model.names == (
-        *(f"frame_{d}[left]" for d in DIRECTIONS),
-        *("frame_x[top]", "frame_rz[top]"),  # in the order of the directions
-        *(f"target_{d}[ball]" for d in "xyz"),
-        *(f"target_{d}[cone]" for d in "xyz"),
-    )
-    top = model.parameters[model.index("frame_rz[top]")]
-    assert (top.place, top.unit, top.family) == ("(frame)top", "rad", FRAME)
-    np.testing.assert_array_equal(top.direction, np.eye(6)[5])
-
-
-# Chains of two branches, chains that start with a joint, and joints that follow others
-
-
-#: Robot, base and tip; whether the base, and the tip, is moved by a joint of the chain without an <origin> between.
-CHAINS = {
-    "ur3 turned round": ("ur3", "tool0", "base", False, False),
-    "ur3 turned round, bare": ("ur3", "wrist_3_link", "base", True, False),
-    "tiago head to arm": (
-        *("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
-        *(False, False),
-    ),
-    "talos head to arm": (
-        *("talos_full_v2", "rgbd_optical_frame", "wrist_left_ft_tool_link"),
-        *(False, False),
-    ),
-    "pr2 head to finger": ("pr2", "head_plate_frame", "r_gripper_l_finger_tip_link", False, True),
-    "panda finger to base": ("panda", "panda_rightfinger", "panda_link0", True, False),
-    "panda's fingers": ("panda", "panda_leftfinger", "panda_rightfinger", True, True),
-    "pr2's fingers": (
-        *("pr2", "l_gripper_l_finger_tip_link", "l_gripper_r_finger_tip_link"),
-        *(True, True),
-    ),
+TIES = {
+    "no such follower": ({"e": ("a", 1.0)}, "has no parameter 'e'"),
+    "no such leader": ({"a": ("e", 1.0)}, "has no parameter 'e'"),
+    "itself": ({"a": ("a", 1.0)}, "is free and of the same unit"),
+    "in a circle": ({"a": ("c", 1.0), "c": ("a", 1.0)}, "is free and of the same unit"),
+    "another unit": ({"a": ("b", 1.0)}, "is free and of the same unit"),
 }
 
 
+@pytest.mark.parametrize(("ties", "message"), TIES.values(), ids=TIES)
+def test_ties_that_cannot_be(four, ties, message):
+    with pytest.raises(ModelError, match=message):
+        four.tied(ties)
+
+
+# Freezing
+
+
+def test_without_a_leader_those_that_follow_it_go_too(four):
+    less = four.tied({"c": ("a", -2.0)}).without(["a"])
+    assert less.names == ("b", "d")
+    assert [t.name for t in less.terms] == ["b", "d"]
+    np.testing.assert_array_equal(less.mixing, np.eye(2))
+    assert (less.name, less.places) == ("four", PLACES)
+
+
+# Displacements
+
+
+def test_displacements_are_exponentials_in_the_order_of_the_terms(four):
+    x = np.array([0.1, 0.2, 0.3, 0.4])
+    D, S = four.displacements(x)
+    factors = [pin.exp6(p.direction * v) for p, v in zip(four.parameters, x, strict=True)]
+    expected = factors[0] * factors[1] * factors[3]
+    np.testing.assert_allclose(D[1], expected.homogeneous, atol=1e-16)
+    np.testing.assert_allclose(D[2], factors[2].homogeneous, atol=1e-16)
+    for k in (0, 3, 4):
+        np.testing.assert_array_equal(D[k], np.eye(4))
+    # a is carried past b and d, which act after it at its place; d past nothing
+    past = (factors[1] * factors[3]).toActionMatrixInverse()
+    np.testing.assert_allclose(S[6:12, 0], past @ np.eye(6)[0], atol=1e-16)
+    np.testing.assert_array_equal(S[6:12, 3], np.eye(6)[5])
+    assert not np.any(S[12:18, [0, 1, 3]])
+
+
 @pytest.fixture(scope="module")
-def chains() -> dict[str, Robot]:
-    return {which: Robot.load(*ends[:3]) for which, ends in CHAINS.items()}
+def placements() -> tuple[Robot, ErrorModel]:
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    return robot, error_model(robot, "placement+gain", frame=True)
 
 
-@pytest.mark.parametrize("name", ["dh", "hayati"])
-@pytest.mark.parametrize("which", CHAINS)
-def test_offsets_of_any_chain_equal_the_paper_s_matrices(chains, which, name):
-    robot = chains[which]
-    assert (robot.carriers[0] is None, robot.carriers[-1] is None) == CHAINS[which][3:]
-    model, table = error_model(robot, name, target=False), dh_table(robot)
-    q = np.random.default_rng(2).uniform(-1, 1, (3, len(robot.joint_names)))
-    x = offsets_of(model)
-    poses = model.apply(robot, x).poses(q)  # by the corrected URDF: every offset has an <origin>
-    for values, pose in zip(robot.chain_values(q), poses, strict=True):
-        expected = pose_of_rows(table, values, dict(zip(model.names, x, strict=True)))
-        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-13)
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_any_ties_and_frozen_ones_are_the_free_model_at_mixed_values(placements, data):
+    _, free = placements
+    unit = dict(zip(free.names, free.units, strict=True))
+    followers = data.draw(st.lists(st.sampled_from(free.names), unique=True, max_size=6))
+    ties = {}
+    for name in followers:
+        leaders = [n for n in free.names if unit[n] == unit[name] and n not in followers]
+        factor = data.draw(st.floats(-3, 3).filter(lambda f: abs(f) > 0.01))
+        ties[name] = (data.draw(st.sampled_from(leaders)), factor)
+    rest = [n for n in free.names if n not in ties]
+    gone = data.draw(st.lists(st.sampled_from(rest), unique=True, max_size=4))
+    model = free.tied(ties).without(gone)
+    x = np.random.default_rng(len(gone)).uniform(-0.1, 0.1, len(model))
+
+    value = dict.fromkeys(free.names, 0.0) | dict(zip(model.names, x, strict=True))
+    value |= {name: factor * value[leader] for name, (leader, factor) in ties.items()}
+    every = np.array([value[name] for name in free.names])
+    names = [term.name for term in model.terms]
+    np.testing.assert_allclose(model.values(x), [value[n] for n in names], rtol=0, atol=1e-16)
+    assert set(free.names) - set(names) == {
+        *gone,
+        *(name for name, (leader, _) in ties.items() if leader in gone),
+    }
+    D, S = model.displacements(x)
+    D_free, S_free = free.displacements(every)
+    np.testing.assert_allclose(D, D_free, rtol=0, atol=1e-15)
+    mixing = np.zeros((len(free), len(model)))
+    for k, name in enumerate(free.names):
+        leader, factor = ties.get(name, (name, 1.0))
+        if leader in model.names:
+            mixing[k, model.index(leader)] = factor
+    np.testing.assert_allclose(S, S_free @ mixing, rtol=0, atol=1e-14)
 
 
-def test_a_skew_axis_has_a_zero_of_its_own_among_the_placement_s(serial_urdf):
-    robot = Robot.from_urdf(
-        serial_urdf(
-            [
-                ("revolute", (0, 0, 0.3), (0.1, 0, 0), (0, 0, -1)),
-                ("revolute", (0.2, 0, 0), (0, 1.2, 0), (0, 1, 1)),
-                ("prismatic", (0, 0.1, 0.2), (1.0, 0, 0.3), (1, 1, 0)),
-            ]
-        )
-    )
-    model = error_model(robot, "placement", target=False)
-    extra = [name for name in model.names if name.endswith(".zero")]
-    assert (extra, len(model)) == (["j2.zero"], 19)
-    families = {p.name: p.family for p in model.parameters}
-    assert families["j1.rz"] == ZERO
-    assert {families[f"j2.{d}"] for d in ("rx", "ry", "rz")} == {ANGLE}
-    assert {families[f"j3.{d}"] for d in ("rx", "ry", "rz")} == {ANGLE}
-    zero = model.parameters[model.index("j2.zero")]
-    np.testing.assert_array_equal(zero.direction[3:], robot.joints[1].axis)
+# Applying
 
 
-def test_zeros_of_followers_are_tied_to_their_driver_s():
-    robot = Robot.from_urdf(
-        urdf_of(
-            "l0 l1 l2 l3 l4 l5 l6 l7",
-            joint("a", "l0", "l1", "continuous"),
-            joint("b", "l1", "l2", mimic='joint="a" multiplier="-2" offset="0.3"'),
-            joint("c", "l2", "l3", "prismatic", mimic='joint="a" multiplier="0.5"'),
-            joint("d", "l3", "l4", mimic='joint="outside" multiplier="4"'),
-            joint("e", "l4", "l5", "prismatic", mimic='joint="a" multiplier="0.25"'),
-            joint("f", "l5", "l6", mimic='joint="outside" multiplier="-1"'),
-            joint("outside", "l0", "l7"),
-        ),
-        tip="l6",
-    )
-    assert robot.joint_names == ("a", "outside")
-    model = error_model(robot, "zeros", target=False)
-    # b follows a; e follows c, for lengths cannot follow angles; f follows d, as their driver is elsewhere
-    assert model.names == ("a.zero", "c.zero", "d.zero")
-    np.testing.assert_array_equal(
-        model.mixing,
-        [[1, 0, 0], [-2, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0.5, 0], [0, 0, -0.25]],
-    )
-    # both kinds in the right proportion are a zero of the column itself
-    x, q = np.array([0.1, 0.05, 0.0]), np.array([0.4, -0.3])
-    np.testing.assert_allclose(
-        model.apply(robot, x).poses(q), robot.poses(q + np.array([0.1, 0.0])), rtol=0, atol=1e-14
-    )
-
-
-# Exactness: a DH offset is a displacement of a placement, and no approximation
-
-
-def test_betas_turn_the_next_axis_as_hayati_s_ry(ur3):
-    robot = tilted(ur3)
-    model, table = error_model(robot, "hayati", target=False), dh_table(robot)
-    assert {n for n in model.names if n.startswith("beta")} == {"beta2", "beta3"}
-    assert all(abs(table.rows[i].beta) > 1e-4 for i in (1, 2))
-    q = np.random.default_rng(4).uniform(-np.pi, np.pi, 6)
-    for name in ("beta2", "beta3"):
-        x = np.zeros(len(model))
-        x[model.index(name)] = 0.1
-        expected = pose_of_rows(table, q, {name: 0.1})
-        np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, atol=1e-13)
-
-
-# apply
-
-
-@pytest.mark.parametrize("name", ["dh", "hayati", "placement", "zeros"])
-def test_apply_and_kinematics_agree(ur3, name):
-    model = error_model(ur3, name, target=True)
-    x = offsets_of(model)
-    x[model.family(TARGET)] = 0
-    T_tip_target = np.eye(4)
-    T_tip_target[:3, 3] = PAPER_TARGET
-    q = np.random.default_rng(0).uniform(-3, 3, (4, 6))
-    poses = Kinematics(ur3, model, np.eye(4), T_tip_target).poses(x, q)
-    np.testing.assert_allclose(poses, model.apply(ur3, x).poses(q) @ T_tip_target, atol=1e-14)
-
-
-@pytest.mark.parametrize("name", ["dhh", "dh+gains", "dh+gain+gain", "dh+", "dh+dh"])
-def test_a_set_or_family_that_does_not_exist_or_is_named_twice(ur3, name):
-    with pytest.raises(
-        ModelError, match=r"Choose 'auto', or one of 'paper', 'dh', .* any of 'gain'"
-    ):
-        error_model(ur3, name)
+def test_only_origins_that_are_displaced_change(ur3):
+    model = error_model(ur3, "dh")
+    x = np.zeros(len(model))
+    x[model.index("theta3")] = 0.01
+    before, after = ur3.origins(), model.apply(ur3, x).origins()
+    assert [n for n in before if not np.array_equal(before[n], after[n])] == ["elbow_joint"]
+    # a target's error is none of the robot's
+    x[:] = 0
+    x[model.index("target_x")] = 0.01
+    assert model.apply(ur3, x).urdf.data == ur3.urdf.data

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.model.error_model import Parameter
 from calib.model.internals import FIXED, InternalValues, changed_internals
-from calib.model.parameters import Parameter
 
 #: Three rows, with the number of the instrument and of the point, and two numbers of the instrument.
 BEFORE = np.array([[0.0, 0.0, 5.0, 1.0], [0.0, 1.0, 5.0, 2.0], [1.0, 1.0, 7.0, 3.0]])

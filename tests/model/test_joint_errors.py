@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.model.error_model import error_model
 from calib.model.joint_errors import joint_displacements, joint_parameters
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameter_sets import error_model
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf

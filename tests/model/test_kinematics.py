@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.model.error_model import DIRECTIONS, error_model
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import ErrorModel
+from calib.model.parameter_sets import DIRECTIONS, error_model
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot
 from tests.robot.shared import joint, urdf_of

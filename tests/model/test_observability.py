@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from calib.example import PAPER_TARGET
-from calib.model.error_model import error_model
+from calib.model.error_model import FRAME, TARGET, TIP, ErrorModel, Parameter
 from calib.model.families import ANGLE, LENGTH
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap
-from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
+from calib.model.parameter_sets import error_model
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 from calib.show.words import combination_text

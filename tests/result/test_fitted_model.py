@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.model.error_model import error_model
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import parameter_estimates

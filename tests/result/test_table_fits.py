@@ -13,7 +13,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.fit.estimate.fitting import fit
-from calib.model.parameters import FRAME
+from calib.model.error_model import FRAME
 from calib.result import table_fits as module
 from calib.result.calibrate import calibrate
 from calib.result.table_fits import fit_table

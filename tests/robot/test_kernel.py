@@ -7,9 +7,9 @@ import pinocchio as pin
 import pytest
 
 from calib.basics.arrays import rigid_inverse
-from calib.model.error_model import error_model
 from calib.model.joint_errors import axis_twists, joint_displacements
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameter_sets import error_model
 from calib.robot import kernel
 from calib.robot.chain import pinocchio_chain
 from calib.robot.robot import Robot

@@ -12,7 +12,7 @@ from calib.basics.values import Value, keep_read_only
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
-from calib.model.parameters import FRAME, TARGET
+from calib.model.error_model import FRAME, TARGET
 from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution

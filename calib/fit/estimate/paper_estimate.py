@@ -98,6 +98,6 @@ def paper_system(problem: Problem, nominal: Array, unit: Array, X: Array) -> tup
     """
     x = X / unit - nominal
     residual = _MM * problem.rows.in_units(problem.linear(x).residual(x))
-    jacobian = _MM * problem.jacobian(x) / unit
+    jacobian = _MM * problem.prediction_jacobian(x) / unit
     error = np.sum(residual**2, axis=1)
     return error, -2.0 * np.einsum("ij,ijk->ik", residual, jacobian)

@@ -17,7 +17,7 @@ from calib.basics.arrays import Array, Mask, rigid_inverse
 from calib.errors import ModelError
 from calib.fit.estimate.task import Task
 from calib.fit.registration.setup import Setup
-from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.model.error_model import FRAME, TARGET, ErrorModel
 
 #: Standard deviation of the weak prior of frames and targets about where they are registered, and of all parameters
 #: if priors are off, in the parameter's unit.

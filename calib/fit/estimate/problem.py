@@ -122,7 +122,7 @@ class Problem(Value):
         linear = self.linear(np.zeros(self.size))
         residual = linear.residual(linear.x)
         gauge = find_size_gauge(self.kinematics, self.rows, linear.A, residual)
-        return replace(self, gauge=gauge)
+        return replace(self, gauge=gauge, _last=[])  # the linearised problem has no gauge
 
     def with_rows(self, rows: Rows) -> Problem:
         """Return the problem with the same rows whose errors are given otherwise: by another noise of poses."""
@@ -182,7 +182,7 @@ class Problem(Value):
         """
         return self.rows.residual(self.kinematics.sightings(x, self.rows.samples))
 
-    def jacobian(self, x: Array) -> Array:
+    def prediction_jacobian(self, x: Array) -> Array:
         """Jacobian of the prediction, which is minus that of the residual.
 
         Args:
@@ -251,7 +251,7 @@ class Problem(Value):
         has_weight = (self.weights > 0.0) | ~rows.checked
         counts = rows.used & has_weight[:, None]
         sigma_of_lengths = rows.sigma["m"][:, None, None]
-        in_sigma = self.jacobian(x) / rows.scales[:, :, None]
+        in_sigma = self.prediction_jacobian(x) / rows.scales[:, :, None]
         jacobian = (in_sigma * sigma_of_lengths)[counts]
         if self.gauge is not None:
             jacobian = self.gauge.without_growth(jacobian)

@@ -9,8 +9,8 @@ from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.errors import ModelError, choices
 from calib.fit.registration.setup import KnownDistance, Setup
-from calib.model.error_model import error_model
-from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+from calib.model.error_model import FRAME, TARGET, ErrorModel, Parameter
+from calib.model.parameter_sets import error_model
 from calib.numerics.solvers import Solver, check_name, has_weights_and_priors
 from calib.robot.robot import Robot
 

@@ -20,7 +20,7 @@ from calib.errors import SolverError
 from calib.fit.registration.refinement import refine, target_poses
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 
 #: The most starts of a frame. One in eight leads to the lowest minimum if a tool is 0.6 m long and nothing is known of
 #: it, nearly all do if the target's place is known.

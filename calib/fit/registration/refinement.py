@@ -21,9 +21,9 @@ from calib.fit.registration.closed_form import (
 )
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
-from calib.model.error_model import frame_and_target_model
+from calib.model.error_model import ErrorModel
 from calib.model.observability import steps
-from calib.model.parameters import ErrorModel
+from calib.model.parameter_sets import frame_and_target_model
 from calib.numerics.solvers import levenberg_marquardt
 from calib.robot import kernel
 

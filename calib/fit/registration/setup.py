@@ -18,10 +18,10 @@ from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.errors import ModelError, choices
-from calib.model.error_model import DIRECTIONS
+from calib.model.error_model import FRAME, TARGET, ErrorModel, Parameter
 from calib.model.internals import FIXED, InternalUnknown, changed_internals
 from calib.model.kinematics import Samples, Sightings
-from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+from calib.model.parameter_sets import DIRECTIONS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,7 +194,7 @@ class Setup(Value):
         rotation R of T_frame_base a unit along one of the plane's axes e is the twist R^T e.
 
         Args:
-            model: Parameters of the robot, the frames and the targets, as `calib.model.error_model` makes them.
+            model: Parameters of the robot, the frames and the targets, as `calib.model.parameter_sets` makes them.
 
         Returns:
             The model with parameters of the same names, each still of one metre or radian a unit.

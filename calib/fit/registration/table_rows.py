@@ -18,9 +18,9 @@ from calib.fit.registration.labels import joined_labels, same_poses
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.setup import Setup
 from calib.instruments.internals import initial_internals
-from calib.model.error_model import DIRECTIONS, split_name
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
+from calib.model.parameter_sets import DIRECTIONS, split_name
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot
 

@@ -11,8 +11,8 @@ import pinocchio as pin
 import calib.data.kinds as registry
 from calib.basics.arrays import Array
 from calib.data.kinds import Kind
-from calib.model.error_model import placed_name
-from calib.model.parameters import BOARD, CAMERA, Parameter
+from calib.model.error_model import BOARD, CAMERA, Parameter
+from calib.model.parameter_sets import placed_name
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.show.lines import deg, mm, number

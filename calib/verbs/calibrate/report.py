@@ -20,7 +20,7 @@ from calib.basics.files import write_atomically
 from calib.data.forms.orientations import find_convention
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.model.parameters import FRAME
+from calib.model.error_model import FRAME
 from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions

@@ -10,8 +10,8 @@ from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.values import one_line
 from calib.fit.registration.rows import USUAL_POSE_NOISE
 from calib.fit.selection.row_weights import Robustness
+from calib.model.error_model import FRAME, TARGET
 from calib.model.families import FAMILIES
-from calib.model.parameters import FRAME, TARGET
 from calib.numerics.correlated_noise import PoseNoise
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, Mask
-from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
+from calib.model.parameter_sets import DIRECTIONS
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_between, spread_poses
 from calib.verbs.compare.drift import (

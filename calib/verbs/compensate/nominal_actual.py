@@ -22,11 +22,11 @@ from calib.basics.arguments import numbers
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
 from calib.errors import ModelError, choices
-from calib.model.error_model import error_model
+from calib.model.error_model import TIP, ErrorModel, Parameter
 from calib.model.families import Factor, JointState
 from calib.model.joint_errors import axis_twists
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import TIP, ErrorModel, Parameter
+from calib.model.parameter_sets import error_model
 from calib.numerics.geometry import not_rotations, position_in_tip
 from calib.result.calibration import Calibration, check_same_joints, is_corrected
 from calib.result.fitted_model import NonGeometric

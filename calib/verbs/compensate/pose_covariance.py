@@ -22,10 +22,10 @@ import pinocchio as pin
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, rigid_inverse
-from calib.model.error_model import DIRECTIONS, OWN, error_model, split_name
+from calib.model.error_model import TARGET
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.model.parameters import TARGET
+from calib.model.parameter_sets import DIRECTIONS, OWN, error_model, split_name
 from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel, twists_in_base
@@ -116,7 +116,7 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
 
 
 def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
-    """Return the directions of the base that no measurement determines, of `calib.model.error_model.DIRECTIONS`.
+    """Return the directions of the base that no measurement determines, of `calib.model.parameter_sets.DIRECTIONS`.
 
     They are those that are estimated of every frame in which positions were measured; all six if none were measured.
     """

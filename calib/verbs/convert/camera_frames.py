@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from calib.basics.arrays import Array, read_only, rigid_inverse
 from calib.basics.values import Value
 from calib.errors import CalibError, ModelError, choices, did_you_mean
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 from calib.result.calibration import Calibration
 from calib.verbs.convert.format import CameraOptions
 

@@ -29,7 +29,7 @@ from calib.verbs.convert.fixed_frames import (
     with_moved_mount,
 )
 from calib.verbs.convert.format import CameraOptions, Conversion, Format, Options, Source
-from calib.verbs.convert.robots import write_urdf
+from calib.verbs.convert.urdf_formats import write_urdf
 
 #: A mount that is turned by more than this was probably named by another frame [rad].
 _TURNED = np.radians(45.0)

@@ -17,9 +17,9 @@ import calib.verbs.convert.camera_intrinsics as camera_intrinsics
 import calib.verbs.convert.camera_mount as camera_mount
 import calib.verbs.convert.dh as dh
 import calib.verbs.convert.origins as origins
-import calib.verbs.convert.robots as robots
 import calib.verbs.convert.static_transform as static_transform
 import calib.verbs.convert.ur_formats as ur_formats
+import calib.verbs.convert.urdf_formats as urdf_formats
 import calib.verbs.convert.zeros as zeros
 from calib.basics.arguments import check_type
 from calib.basics.files import read_bytes
@@ -61,7 +61,7 @@ __all__ = [
 ]
 
 FORMATS: dict[str, Format] = {
-    **robots.FORMATS,
+    **urdf_formats.FORMATS,
     **ur_formats.FORMATS,
     **origins.FORMATS,
     **dh.FORMATS,
@@ -76,7 +76,7 @@ KINDS: dict[str, SourceKind] = {
     **ur_formats.KINDS,
     **dh.KINDS,
     **origins.KINDS,
-    **robots.KINDS,
+    **urdf_formats.KINDS,
 }
 """Kinds of sources that can be read, by name; of kinds with the same ending those with a key come first."""
 
@@ -206,10 +206,10 @@ def read_source(
     """
     if isinstance(source, Calibration):
         name = chosen_format(path, options.to, "result")
-        return robots.result_source(source, options, "The calibration"), name
+        return urdf_formats.result_source(source, options, "The calibration"), name
     if isinstance(source, Robot):
         name = chosen_format(path, options.to, "robot")
-        return robots.robot_source(source, options), name
+        return urdf_formats.robot_source(source, options), name
     kind = source_kind(str(source))
     name = chosen_format(path, options.to, kind)
     return KINDS[kind].read(str(source), options), name

@@ -34,7 +34,7 @@ from calib.robot.ranges import spread_poses
 from calib.robot.readback import TOLERANCE
 from calib.robot.robot import Robot
 from calib.verbs.convert.format import Format, Note, Notes, Options, Source, SourceKind
-from calib.verbs.convert.robots import robot_source
+from calib.verbs.convert.urdf_formats import robot_source
 
 ENDINGS = (".csv", ".json")
 """Endings of files with DH tables."""

@@ -42,7 +42,7 @@ from calib.verbs.convert.format import (
     SourceKind,
     parse_yaml,
 )
-from calib.verbs.convert.robots import arm_of
+from calib.verbs.convert.urdf_formats import arm_of
 
 #: A number beyond this [m or rad] is a mistake.
 _FARTHEST = 1e6

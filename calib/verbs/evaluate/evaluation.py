@@ -26,8 +26,8 @@ from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Samples
+from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.errors import Errors
 from calib.result.fitted_model import NonGeometric
 from calib.robot.robot import Robot

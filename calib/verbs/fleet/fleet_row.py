@@ -15,7 +15,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.json_files import JsonLayout
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import NO
-from calib.model.parameters import FRAME, TARGET
+from calib.model.error_model import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.result.calibration import Calibration
 

@@ -24,9 +24,9 @@ from calib.fit.registration.registration import register
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup, known_distances
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
-from calib.model.parameters import ErrorModel
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 

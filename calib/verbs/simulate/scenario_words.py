@@ -20,8 +20,8 @@ from calib.data.cell import Cell, TrackerNoise, read_toml
 from calib.data.inputs import chain_of, robot_of
 from calib.errors import CalibError, choices
 from calib.instruments.tracker import noise_of_lengths
-from calib.model.error_model import error_model
 from calib.model.families import FAMILIES, unit_of
+from calib.model.parameter_sets import error_model
 from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.scenario import DEFAULT_MODEL, Scenario

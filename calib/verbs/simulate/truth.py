@@ -23,10 +23,10 @@ from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
-from calib.model.error_model import error_model, split_name
+from calib.model.error_model import ErrorModel
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import ErrorModel
+from calib.model.parameter_sets import error_model, split_name
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written

@@ -11,9 +11,9 @@ from scipy.special import stdtrit
 from calib.data.cell import Cell, GroupDistance
 from calib.errors import MeasurementError, ModelError
 from calib.fit.estimate.fitting import _with_new_poses, fit
-from calib.model.error_model import MODELS, error_model
+from calib.model.error_model import Parameter
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import Parameter
+from calib.model.parameter_sets import MODELS, error_model
 from calib.numerics.solvers import SOLVERS, Solution
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values

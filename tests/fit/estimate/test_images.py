@@ -13,8 +13,8 @@ from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
 from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
 
@@ -33,7 +33,7 @@ def test_jacobian_of_all_unknowns_is_that_of_differences(lens):
     p = problem(lens)
     model = p.kinematics.model
     x = 1e-3 * np.random.default_rng(7).normal(size=p.size)
-    J = p.jacobian(x)
+    J = p.prediction_jacobian(x)
     for k in range(p.size):
         h = 1e-3 if model.units[k] == "px" else 1e-6
         step = h * np.eye(p.size)[k]

@@ -10,8 +10,8 @@ from calib.data.kinds import get
 from calib.data.measurements import Measurements
 from calib.fit.estimate import problem
 from calib.fit.registration.rows import NONE, Rows
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
 from calib.result.calibrate import calibrate
 from calib.robot import kernel

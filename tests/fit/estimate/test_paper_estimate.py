@@ -49,7 +49,7 @@ def test_noise_and_covariance_of_the_papers_estimate_by_hand(noisy):
     """Sum of squares over 3 N - 3/5 rank, and 7/5 of the covariance of least squares."""
     estimate = noisy.estimate
     problem = estimate.problem
-    jacobian = problem.jacobian(estimate.x).reshape(-1, problem.size)
+    jacobian = problem.prediction_jacobian(estimate.x).reshape(-1, problem.size)
     U, s, _ = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
     rank = int(np.sum(s > 1e-9 * s[0]))
     assert rank < problem.size

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Priors
-from calib.model.error_model import error_model
+from calib.model.error_model import FRAME, TARGET
 from calib.model.families import ZERO
-from calib.model.parameters import FRAME, TARGET
+from calib.model.parameter_sets import error_model
 from tests.fit.estimate.priors_of import prior_terms
 
 

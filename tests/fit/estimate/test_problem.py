@@ -11,8 +11,8 @@ from calib.data.cell import Cell
 from calib.fit.estimate.problem import Problem
 from calib.fit.registration.setup import KnownDistance
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from tests.fit.estimate.differences import differences, problem_of
 
 

@@ -25,8 +25,8 @@ from calib.fit.registration.registration import (
 )
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import frame_and_target_model
-from calib.model.parameters import FRAME
+from calib.model.error_model import FRAME
+from calib.model.parameter_sets import frame_and_target_model
 
 FREE = Cell(estimate_frame=True)
 PLANAR = Cell(estimate_frame=True, frame_directions=("x", "y", "rz"))

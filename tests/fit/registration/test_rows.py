@@ -14,8 +14,8 @@ from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import NONE, Rows
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameter_sets import DIRECTIONS, error_model
 from calib.numerics.correlated_noise import PoseNoise
 from tests import images
 from tests.covariances import random_covariances

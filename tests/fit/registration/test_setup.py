@@ -12,9 +12,9 @@ from calib.data.cell import Cell, GroupDistance
 from calib.fit.registration.labels import joined_stations
 from calib.fit.registration.setup import KnownDistance, Setup, known_distances
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.model.error_model import frame_and_target_model
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import ErrorModel
+from calib.model.parameter_sets import frame_and_target_model
 from tests.fit.registration.tables import as_kind
 
 

@@ -18,8 +18,8 @@ from calib.fit.selection.row_weights import (
     fit_with_all_families,
     with_better_weights,
 )
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values

@@ -12,7 +12,7 @@ import pytest
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.example import PAPER_TARGET
-from calib.model.parameters import FRAME
+from calib.model.error_model import FRAME
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.verbs.calibrate.report import bootstrap_text, profile_text

@@ -14,8 +14,8 @@ from scipy.special import fdtri, stdtrit
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, ModelError
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values, spread_poses

@@ -20,8 +20,8 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Verdict
 from calib.errors import FileError
 from calib.example import PAPER_TARGET
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_between

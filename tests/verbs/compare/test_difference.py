@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.model.error_model import DIRECTIONS
+from calib.model.parameter_sets import DIRECTIONS
 from calib.verbs.compare.difference import (
     _ROOM,
     _WIDEST,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.model.error_model import error_model
+from calib.model.parameter_sets import error_model
 from calib.robot.robot import Robot
 
 #: Errors of real arms: half a millimetre, two milliradians.

@@ -11,7 +11,7 @@ import pytest
 
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
-from calib.model.error_model import error_model
+from calib.model.parameter_sets import error_model
 from calib.numerics.repeats import Repeats
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration

@@ -5,8 +5,8 @@ import pytest
 
 from calib.basics.arrays import read_only
 from calib.errors import ModelError
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameter_sets import error_model
 from calib.result.fitted_model import NonGeometric
 from calib.robot.gravity import GRAVITY, Payload, gravity_loads
 from calib.robot.ranges import random_joint_values

@@ -12,10 +12,10 @@ import pytest
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
 from calib.fit.selection.candidates import Candidate
-from calib.model.error_model import DIRECTIONS
+from calib.model.error_model import FRAME
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.model.parameters import FRAME
+from calib.model.parameter_sets import DIRECTIONS
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values

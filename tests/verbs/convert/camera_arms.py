@@ -16,7 +16,7 @@ from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.model.error_model import error_model
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
@@ -24,7 +24,7 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.convert.convert import FORMATS
 from calib.verbs.convert.format import CameraOptions, Conversion, Options
-from calib.verbs.convert.robots import result_source
+from calib.verbs.convert.urdf_formats import result_source
 
 #: The lines of a camera, as people write them: mixed quotes, a comment, an origin without xyz, one not at all.
 CAMERA = """\

@@ -13,7 +13,7 @@ from calib.errors import CalibError, FileError, ModelError
 from calib.verbs.convert.camera_intrinsics import camera_of_station, write_intrinsics
 from calib.verbs.convert.convert import convert
 from calib.verbs.convert.format import CameraOptions, Options
-from calib.verbs.convert.robots import result_source
+from calib.verbs.convert.urdf_formats import result_source
 from tests.verbs.convert.camera_arms import INTRINSICS, calibration, image_calibration, words
 
 

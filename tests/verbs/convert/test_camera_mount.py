@@ -17,8 +17,8 @@ from calib.verbs.convert.camera_mount import Handover, mounted
 from calib.verbs.convert.convert import convert
 from calib.verbs.convert.fixed_frames import fixed_pose
 from calib.verbs.convert.format import CameraOptions, Conversion, Options
-from calib.verbs.convert.robots import result_source, robot_source
 from calib.verbs.convert.text import text as text_of
+from calib.verbs.convert.urdf_formats import result_source, robot_source
 from tests.verbs.convert.camera_arms import (
     T_TOOL_OPTICAL,
     calibration,

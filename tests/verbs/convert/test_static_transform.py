@@ -15,8 +15,8 @@ from calib.basics.arrays import rigid_inverse
 from calib.errors import CalibError, FileError
 from calib.verbs.convert.convert import convert
 from calib.verbs.convert.format import CameraOptions, Options
-from calib.verbs.convert.robots import result_source
 from calib.verbs.convert.static_transform import StaticTransform, file_of, transform_of
+from calib.verbs.convert.urdf_formats import result_source
 from tests.verbs.convert.camera_arms import T_TOOL_OPTICAL, calibration, pose, words
 
 #: Half a turn, no turn, turns beyond half a turn, tiny numbers.

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import rigid_inverse
 from calib.data.cell import Cell, Tracker
-from calib.model.error_model import error_model
 from calib.model.families import FAMILIES
+from calib.model.parameter_sets import error_model
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.simulate.truth import TARGET_ERROR, draw_truth, tracker_pose

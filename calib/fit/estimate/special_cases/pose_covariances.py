@@ -120,7 +120,7 @@ def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
         return None
     assert rows.covariances is not None
     assert rows.by_joints is not None
-    J = problem.jacobian(estimate.x)[chosen, :POSE]
+    J = problem.prediction_jacobian(estimate.x)[chosen, :POSE]
     r = problem.residual(estimate.x)[chosen, :POSE]
     spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
     squares = r[:, :, None] * r[:, None] + spread

@@ -42,8 +42,8 @@ from calib.fit.estimate.special_cases.stop_shares import (
 )
 from calib.fit.registration.labels import same_poses
 from calib.fit.registration.rows import Rows
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples, Sightings
+from calib.model.parameter_sets import error_model
 
 #: Rows whose columns are copied at a time.
 _PART = 16_384

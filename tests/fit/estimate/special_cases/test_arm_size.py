@@ -15,9 +15,9 @@ from calib.fit.estimate.task import Task
 from calib.fit.registration.setup import known_distances
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.dh_table import dh_table
-from calib.model.error_model import error_model
+from calib.model.error_model import FRAME, TARGET
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import FRAME, TARGET
+from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -147,6 +147,16 @@ def test_the_held_size_is_a_row_of_the_system(sockets):
     step = 1e-5 * np.eye(problem.size)
     numeric = [(problem.constraints(x + e)[0] - problem.constraints(x - e)[0]) / 2e-5 for e in step]
     np.testing.assert_allclose(-J.T, numeric, rtol=1e-6, atol=1e-3)
+
+
+def test_the_held_size_is_in_the_system_at_the_start_too(sockets):
+    """The gauge is found from the problem without it, whose linearisation at zero offsets must not be kept."""
+    scene, table = sockets
+    problem = problem_of(scene, table)
+    linear = problem.linear(np.zeros(problem.size))
+    assert len(linear.C) == len(problem.distances) + 1
+    np.testing.assert_array_equal(linear.held, linear.C[-1])
+    assert np.abs(linear.held).max() > 0.0
 
 
 @pytest.mark.parametrize("model", ["dh", "placement", "dh+gain"])

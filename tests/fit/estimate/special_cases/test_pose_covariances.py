@@ -74,7 +74,7 @@ def test_the_fit_is_generalised_least_squares(make_scene):
     x = found.estimate.x
     problem = replace(problem, noise=np.ones(2))
     V = problem.rows.pose_noise.covariances(stated, problem.rows.by_joints)
-    J, r = problem.jacobian(x), problem.residual(x)
+    J, r = problem.prediction_jacobian(x), problem.residual(x)
     H = np.einsum("nip,nij,njq->pq", J, np.linalg.inv(V), J)
     g = np.einsum("nip,nij,nj->p", J, np.linalg.inv(V), r)
     residual, slope = problem.system(x)
@@ -159,7 +159,7 @@ def test_parameters_scatter_as_their_covariance_says(make_scene):
         fresh = scene.poses(1)
         rows, _ = rows_and_setup(scene.robot, fresh, CELL)
         error = found.residual(rows)[0]
-        J = Problem.initial(found.kinematics, rows).jacobian(found.estimate.x)[0]
+        J = Problem.initial(found.kinematics, rows).prediction_jacobian(found.estimate.x)[0]
         C = J @ found.estimate.covariance @ J.T
         assert len(model) == len(found.estimate.x)
         squares.append(error @ np.linalg.solve(C, error))

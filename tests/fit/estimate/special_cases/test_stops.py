@@ -19,8 +19,8 @@ from calib.fit.estimate.special_cases import stops as stops_module
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.cross_validation import fold_posterior_means
-from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
 from calib.result.fitted_model import parameter_estimates
 from calib.robot.ranges import random_joint_values

@@ -7,7 +7,7 @@ import pytest
 
 from calib.basics.channels import Channels
 from calib.result.calibration import Calibration
-from calib.result.verdicts import (
+from calib.result.collected_evidence import (
     _collect_evidence,
     _expected_over_limits,
     compare_validation_errors,

@@ -11,8 +11,8 @@ import numpy as np
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import Channels
 from calib.diagnosis.evidence import Evidence, ValidationErrors
+from calib.diagnosis.judge import judge
 from calib.diagnosis.reasons import NO, Reason, Why
-from calib.diagnosis.verdict import judge
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.numerics.errors import Errors

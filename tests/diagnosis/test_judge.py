@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.evidence import Evidence, ValidationErrors
+from calib.diagnosis.judge import judge
 from calib.diagnosis.reasons import Reason, Verdict, Why
-from calib.diagnosis.verdict import judge
 from calib.numerics.errors import CrossValidation, Errors
 from tests.residuals import lengths_and_angles
 
