@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import calib.basics.plugins as _plugins
+    import calib.model.parameter_sets as _models
     import calib.verbs.convert.convert as _formats
     from calib.boards.board import Board as Board
     from calib.boards.detection.detect import detect as detect
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from calib.data.measurements import Measurements as Measurements
     from calib.data.surroundings import TrackerNoise as TrackerNoise
     from calib.errors import CalibError as CalibError
-    from calib.model import families as families, parameter_sets as error_model
+    from calib.model import families as families
     from calib.numerics import solvers as solvers
     from calib.result.calibrate import calibrate as calibrate
     from calib.result.calibration import Calibration as Calibration
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     from calib.verbs.workspace.workspace import workspace as workspace
 
     formats = _formats
-    models = error_model
+    models = _models
     plugins = _plugins
 
 from calib.version import __version__ as __version__

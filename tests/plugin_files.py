@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.data import kinds
 from calib.verbs.convert import convert
-from calib.model import error_model, families
+from calib.model import families, parameter_sets
 from calib.model.error_model import Parameter
 from calib.numerics import solvers
 
@@ -63,7 +63,7 @@ families.register(
     families.Family(name="ripple", unit=families.RAD, prior=1e-3, typical=1e-3, factors=(sin2,))
 )
 solvers.register("twin", twin)
-error_model.register("shoulder", shoulder)
+parameter_sets.register("shoulder", shoulder)
 convert.register("names", convert.Format("names of the joints", (".txt",), write_names))
 """
 
