@@ -174,7 +174,10 @@ def shift_decimal(value: float, places: int) -> float:
 
 
 def decimal(unit: str, places: int) -> Form:
-    """Return the form of a number in a unit that is ten to the power ``places`` of SI; it keeps its decimal digits."""
+    """Return the form of a number in a unit of 10**places SI units (mm: -3), converted by shifting the decimal point.
+
+    The decimal digits of the file are kept; what is not a number is refused.
+    """
 
     def read(value: Any) -> float | None:  # noqa: ANN401
         return shift_decimal(value, places) if is_number(value) else None

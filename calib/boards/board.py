@@ -287,7 +287,7 @@ def marker_outlines(board: Board) -> Array:
 
     Returns:
         x and y in the board's frame, shape (markers, 4, 2) [m], in the order of the ids, each clockwise from its top
-        left as in OpenCV; a chessboard has none.
+        left as printed (x right, y down, from the pattern's outer corner); shape (0, 4, 2) for a chessboard.
     """
     if board.pattern == CHESSBOARD:
         return np.zeros((0, 4, 2))

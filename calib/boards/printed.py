@@ -72,7 +72,8 @@ def print_scale(board: Board, text: str) -> PrintScale:
         The scale of the print.
 
     Raises:
-        CalibError: It is not a length, or is not close to the pattern's width, its height or a square.
+        CalibError: It is not a length; the board has fewer squares; or, without a number of squares, it is close to
+            none or to several of the pattern's width, its height and a square.
     """
     amount, slash, squares = text.partition("/")
     length = parse_amount(amount, "--measured", LENGTH, _EXAMPLE)

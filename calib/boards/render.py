@@ -111,7 +111,10 @@ class _Sheet:
         return slice(top, bottom), slice(left, right)
 
     def sample_size(self) -> float:
-        """Return the width that a sample of the picture covers where the board is nearest [m]."""
+        """Return the width [m] on the board that one of the `_SAMPLES` samples along a pixel's side covers.
+
+        It is that at the point of the sheet's outline, with its margin, which is nearest to the camera.
+        """
         K, _ = camera_matrix(self.camera)
         focal_length = float(max(K[0, 0], K[1, 1]))
         nearest = max(float(np.linalg.norm(self.outline(), axis=1).min()), NEAREST)

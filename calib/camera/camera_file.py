@@ -164,7 +164,10 @@ def _lens_values(table: Mapping[str, Any], lens: Lens, camera: Camera) -> Array 
 
 
 def _sigma_keys(lens: Lens) -> dict[str, tuple[str, ...]]:
-    """Return the names of the intrinsics whose standard deviation each key gives; keys of one intrinsic come last."""
+    """Map each key of a camera table that states standard deviations to its intrinsics, by their names.
+
+    Keys of one intrinsic come last: they override those of a group.
+    """
     keys = {
         "sigma_focal_px": ("fx", "fy"),
         "sigma_centre_px": ("cx", "cy"),

@@ -176,7 +176,7 @@ def _normalised(points: Array) -> Array:
 # Pinhole
 
 
-def _pinhole(normalised: Array, coefficients: Array) -> Array:
+def _distort_pinhole(normalised: Array, coefficients: Array) -> Array:
     """Return normalised coordinates X / Z, Y / Z, shape (2, n), distorted by k1, k2, p1, p2, k3, shape (5, n)."""
     x, y = normalised
     k1, k2, p1, p2, k3 = coefficients
@@ -191,7 +191,7 @@ def _pinhole(normalised: Array, coefficients: Array) -> Array:
 
 
 def _pinhole_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Return the derivatives of `_pinhole` by the coordinates, (2, 2, n), and by the five coefficients, (2, 5, n)."""
+    """Return the derivatives of the distorted coordinates by the given ones, (2, 2, n), and by k1 to k3, (2, 5, n)."""
     x, y = normalised
     k1, k2, p1, p2, k3 = coefficients
     rr = x**2 + y**2
@@ -212,14 +212,14 @@ def _pinhole_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Arra
 # Fisheye
 
 
-def _fisheye(normalised: Array, coefficients: Array) -> Array:
+def _distort_fisheye(normalised: Array, coefficients: Array) -> Array:
     """Return normalised coordinates X / Z, Y / Z, shape (2, n), distorted by k1 to k4, shape (4, n)."""
     ratio, _, _ = _fisheye_ratio(normalised, coefficients)
     return normalised * ratio
 
 
 def _fisheye_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Return the derivatives of `_fisheye` by the coordinates, (2, 2, n), and by the four coefficients, (2, 4, n)."""
+    """Return the derivatives of the distorted coordinates by the given ones, (2, 2, n), and by k1 to k4, (2, 4, n)."""
     ratio, slope, angle = _fisheye_ratio(normalised, coefficients)
     r = np.maximum(np.hypot(*normalised), _TINY)
     outer = normalised[:, None] * normalised[None] / r**2
@@ -241,8 +241,8 @@ def _fisheye_ratio(normalised: Array, coefficients: Array) -> tuple[Array, Array
 
 
 _ROWS = (
-    Lens("pinhole", ("k1", "k2", "p1", "p2", "k3"), _pinhole, _pinhole_slopes),
-    Lens("fisheye", ("k1", "k2", "k3", "k4"), _fisheye, _fisheye_slopes),
+    Lens("pinhole", ("k1", "k2", "p1", "p2", "k3"), _distort_pinhole, _pinhole_slopes),
+    Lens("fisheye", ("k1", "k2", "k3", "k4"), _distort_fisheye, _fisheye_slopes),
 )
 
 #: Lens models by name.

@@ -167,18 +167,17 @@ class Evidence:
     @cached_property
     def _fall_without_outliers(self) -> tuple[float, float]:
         """The gain and its p-value on held-out rows, outliers aside; see `_test_fall`."""
-        return self._test_fall(of_all=False)
+        return self._test_fall(with_outliers=False)
 
-    def _test_fall(self, *, of_all: bool) -> tuple[float, float]:
+    def _test_fall(self, *, with_outliers: bool) -> tuple[float, float]:
         """Test the fall of the error on held-out rows from the nominal to the calibrated robot by Student's t.
 
         Returned are the mean fall over its standard error, 0 if no parameter changed, and the one-sided p-value of no
-        fall. Errors
-        are paired by poses. Of all rows the error is tested, not its square: an accident then changes the fall by no
-        more than the correction there.
+        fall. Errors are over the noise, averaged by pose, and paired by pose. Without outliers their squares are
+        tested. With outliers the errors themselves are: a gross outlier then adds no more than its correction.
         """
-        before = self._by_pose(self.nominal, of_all=of_all)
-        fall = before - self._by_pose(self.calibrated, of_all=of_all)
+        before = self._by_pose(self.nominal, with_outliers=with_outliers)
+        fall = before - self._by_pose(self.calibrated, with_outliers=with_outliers)
         mean = float(np.mean(fall)) if len(fall) else 0.0
         if not self.changes or abs(mean) < _ROUNDING * float(np.mean(before)):
             return 0.0, 1.0
@@ -188,16 +187,16 @@ class Evidence:
         gain = mean / max(standard_error, _TINY)
         return gain, float(stdtr(len(fall) - 1, -gain))
 
-    def _by_pose(self, validation: CrossValidation, *, of_all: bool) -> Array:
+    def _by_pose(self, validation: CrossValidation, *, with_outliers: bool) -> Array:
         """Average over the repeats of each of K poses, shape (K,): errors of all rows, or squares without outliers.
 
         Errors are those of a cross-validation, over the noise.
         """
-        rows = (of_all | ~self.outliers) & np.any(self.used, axis=1)
+        rows = (with_outliers | ~self.outliers) & np.any(self.used, axis=1)
         _, poses = np.unique(validation.poses[rows], return_inverse=True)
         counts = np.maximum(np.bincount(poses), 1)
         errors = self._whitened(validation)[rows]
-        if of_all:
+        if with_outliers:
             errors = np.sqrt(errors)
         return np.asarray(np.bincount(poses, errors) / counts)
 
@@ -283,7 +282,7 @@ class Evidence:
             return False
         before = np.sum(self._whitened(self.nominal)[self.outliers])
         after = np.sum(self._whitened(self.calibrated)[self.outliers])
-        _, p = self._test_fall(of_all=True)
+        _, p = self._test_fall(with_outliers=True)
         return bool(after < _ALIKE**2 * before) and p < _CHANCE
 
     @property
@@ -311,8 +310,8 @@ class Evidence:
 
         _, first, measurement = np.unique(self.repeats, return_index=True, return_inverse=True)
         of_first = np.sum(self.used[first], axis=1)
-        of_all = np.bincount(measurement, np.sum(self.used, axis=1))
-        of_image = np.minimum(of_all, _OF_POSE)
+        with_outliers = np.bincount(measurement, np.sum(self.used, axis=1))
+        of_image = np.minimum(with_outliers, _OF_POSE)
 
         counts = {
             "poses": len(np.unique(self.repeats[single])),

@@ -193,7 +193,7 @@ def compare_validation_errors(
 
 
 def _notes(result: Calibration) -> Iterator[Reason]:
-    """Yield reasons that only inform: a non-geometric model, copied rows, validation rows beyond the fitted ranges."""
+    """Yield reasons that only inform: a non-geometric model, copies of rows, validation rows in new joint ranges."""
     larger, validated = result.non_geometric, result.cross_validation
     if larger is not None and larger.cross_validation is not None and larger.verdict is not None:
         errors = larger.cross_validation.errors_without_outliers

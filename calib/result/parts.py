@@ -109,7 +109,7 @@ class ResultRows(Value):
         """
         return any(registry.get(kind).tells_place for kind in self.kinds)
 
-    def images_of(self, chosen: Mask) -> int:
+    def count_images(self, chosen: Mask) -> int:
         """Count the images that have chosen rows.
 
         Args:

@@ -116,7 +116,7 @@ def gravity_loads(
     columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.joints]
 
     def work(block: slice) -> Array:
-        """Return the loads and lever arms of a block of samples, (B, n, n + 3)."""
+        """Return what `gravity_loads` returns, for a block of B samples: (B, n, n + 3)."""
         block_values = {name: value[block] for name, value in values.items()}
         holding = [
             pin.computeGeneralizedGravity(model, data, configuration)

@@ -183,6 +183,9 @@ def package_folder(name: str, file: Path) -> Path:
         name: The package's name.
         file: The xacro file.
 
+    Returns:
+        The folder, which exists; relative if the entry of the variable is.
+
     Raises:
         LookupError: There is no such package.
     """
@@ -223,8 +226,9 @@ def _candidates(name: str, file: Path) -> Iterator[Path]:
     """Yield the folders that a package's name may mean for a xacro file, the likeliest first."""
     for prefix in listed_folders("AMENT_PREFIX_PATH"):
         index = prefix / "share" / "ament_index" / "resource_index" / "packages" / name
-        if index.is_file():
-            yield prefix / "share" / name
+        folder = prefix / "share" / name
+        if index.is_file() and folder.is_dir():
+            yield folder
     for folder in listed_folders("ROS_PACKAGE_PATH"):
         yield from packages_in(folder, name, _DEEP)
     for folder in file.parents:

@@ -81,7 +81,10 @@ def _draw(page: Page, medium: Medium) -> str:
 
 
 def _table_context(table: Table) -> dict[str, Any]:
-    """Return what the template draws of a table: columns, headings above several of them, texts of rows, and a note."""
+    """Return what the template draws of a table.
+
+    These are columns, headings above several of them, texts of rows, a note, and whether the first column is wide.
+    """
     columns, rows = format_cells(table.columns, table.rows[: table.most.get(HTML)])
     groups = [
         (label, len(list(below))) for label, below in groupby(column.group for column in columns)
@@ -95,7 +98,8 @@ def _table_context(table: Table) -> dict[str, Any]:
         "groups": groups if any(label for label, _ in groups) else [],
         "rows": rows,
         "note": " ".join(note for note in notes if note),
-        "named": max((len(row[0]) for row in rows if not isinstance(row, str)), default=0) > 12,
+        "has_long_names": max((len(row[0]) for row in rows if not isinstance(row, str)), default=0)
+        > 12,
     }
 
 

@@ -17,9 +17,9 @@ def test_images_are_counted_where_all_rows_are_corners(default_result):
     sets = ("estimate", "estimate", "estimate", "validate")
     images = ("a.png", "b.png", "a.png", "")
     rows = replace(default_result.rows, numbers=(1, 2, 3, 4), sets=sets, images=images)
-    assert rows.images_of(rows.estimation) == 2
-    assert rows.images_of(np.ones(4, dtype=bool)) == 0  # one is not a corner
-    assert replace(rows, images=()).images_of(rows.estimation) == 0
+    assert rows.count_images(rows.estimation) == 2
+    assert rows.count_images(np.ones(4, dtype=bool)) == 0  # one is not a corner
+    assert replace(rows, images=()).count_images(rows.estimation) == 0
 
 
 def test_lengths_are_pixels_times_their_length():

@@ -199,9 +199,10 @@ def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
 
 
 def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
-    """Return the standard deviation of the blur of an image's sharpest edges [px].
+    """Return the standard deviation of the blur of an image's sharpest edges [px]; ``image`` is grey, shape (h, w).
 
-    It is 0 without edges, and infinite if a further blur does not make them less steep.
+    It is 0 without edges and for edges too sharp to measure. It is infinite if a further blur makes
+    them no less steep.
 
     The steepest slope of an edge of height h is h / (sqrt(2 pi) sigma). A further blur of s makes sqrt(sigma^2 + s^2)
     of sigma. So the ratio of the slopes after a blur of 1 px and of s determines sigma:

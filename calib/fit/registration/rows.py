@@ -137,7 +137,7 @@ class Rows:
 
     @property
     def correlated(self) -> Mask:
-        """Rows whose scalars are correlated, shape (N,): poses with a covariance."""
+        """Rows that are poses with a stated covariance, even a diagonal one, shape (N,)."""
         result = np.zeros(len(self), dtype=bool)
         if self._correlated is not None:
             result[self._correlated.rows] = True

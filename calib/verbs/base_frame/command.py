@@ -46,7 +46,10 @@ def base_frame(
         ),
     ] = None,
     points_unit: PointsUnit = None,
-    cell_out: Annotated[_File, typer.Option(help="Write the frame as a cell file (TOML).")] = None,
+    cell_out: Annotated[
+        _File,
+        typer.Option(help="Write the base's pose in the tracker as a cell file (TOML)."),
+    ] = None,
     json: Annotated[
         _File, typer.Option(help="Write frame, axes, sweeps and findings as JSON.")
     ] = None,
@@ -61,14 +64,15 @@ def base_frame(
     robot: Annotated[
         str | None,
         typer.Option(
-            help="URDF, or a name such as 'ur3', of the robot whose link --base is the frame. Default: a frame with z "
-            "along axis 1 and y along axis 2.",
+            help="URDF, or a name such as 'ur3', of the robot whose link --base is the frame. Default: a frame with "
+            "its origin where axis 1 meets the plane, z along axis 1 and y along axis 2.",
         ),
     ] = None,
     plane_offset: Annotated[
         str,
         typer.Option(
-            help='Distance of the probe centre from the plane: the radius of the ball, such as "19.05 mm".'
+            help="Distance of the probe centre from the plane, positive towards the robot: the radius of the ball, "
+            'such as "19.05 mm".'
         ),
     ] = "0 mm",
     robust: Annotated[bool, typer.Option(help="Reject outliers and report them.")] = True,

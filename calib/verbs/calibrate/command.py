@@ -199,7 +199,7 @@ class Intervals:
     ] = None
 
     def check(self) -> None:
-        """Refuse options of the bootstrap without it; raises `CalibError`."""
+        """Refuse --seed, --workers and --dask without --bootstrap; raises `CalibError`."""
         if self.bootstrap is not None:
             return
         for option in ("seed", "workers", "dask"):

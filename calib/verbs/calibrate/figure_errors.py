@@ -45,7 +45,7 @@ class CurveRows(NamedTuple):
 
 
 def curve_rows(c: Calibration) -> CurveRows:
-    """Return the rows of the error curves, of those that measure a length.
+    """Choose, among rows that measure a length, those of the error curves, with the residuals of all rows.
 
     The validation rows if there are any, else the estimation rows with held-out predictions if the result was
     cross-validated, else the estimation rows with the fit's own predictions.

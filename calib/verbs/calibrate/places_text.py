@@ -32,7 +32,7 @@ def target_sentences(c: Calibration) -> list[str]:
 
     An estimated one that was also given has its distance from there; places are in mm and, with orientations, deg.
     """
-    noun = "Board" if c.rows.images_of(np.ones(len(c.rows), dtype=bool)) else "Target"
+    noun = "Board" if c.rows.count_images(np.ones(len(c.rows), dtype=bool)) else "Target"
     sentences = []
     for t, name in enumerate(c.setup.target_names):
         label = f"{noun} '{name}'" if name else noun

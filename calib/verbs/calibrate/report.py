@@ -152,7 +152,7 @@ def report(
 
 def _first_page(c: Calibration, columns: Sequence[ErrorColumn]) -> Block:
     """Make the first page of the report: verdict, record, robot, noise, errors before and after, signatures."""
-    images = c.rows.images_of(c.rows.estimation)
+    images = c.rows.count_images(c.rows.estimation)
     if images:
         corners = plural(int(np.sum(c.rows.estimation)), "corner")
         basis = f"{corners} in {plural(images, 'image')}"

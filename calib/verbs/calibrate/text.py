@@ -58,10 +58,10 @@ def calibration_line(c: Calibration) -> str:
 def counted_rows(c: Calibration) -> str:
     """Count the rows of each set, or the images and their corners."""
     estimation, validation = (int(np.sum(s)) for s in (c.rows.estimation, c.rows.validation))
-    images = c.rows.images_of(c.rows.estimation)
+    images = c.rows.count_images(c.rows.estimation)
     if not images:
         return f"{estimation} rows for estimation and {validation} for validation"
-    fresh = f"{c.rows.images_of(c.rows.validation)} with {validation}" if validation else "none"
+    fresh = f"{c.rows.count_images(c.rows.validation)} with {validation}" if validation else "none"
     counted = f"{plural(images, 'image')} with {estimation} corners"
     return f"{counted} for estimation and {fresh} for validation"
 

@@ -192,7 +192,7 @@ def read_source(
 
     Args:
         source: A result; a robot; a file that `KINDS` has a row for; or the name of a robot.
-        path: The file to write.
+        path: The file to write, whose ending chooses the format if ``options.to`` is None.
         options: Options of the conversion.
 
     Returns:
@@ -201,8 +201,8 @@ def read_source(
     Raises:
         FileError: The file cannot be read.
         UrdfError: A URDF cannot be read.
-        ModelError: Things do not fit each other.
-        CalibError: Something that is needed was not given.
+        ModelError: The robot does not fit the result or the file.
+        CalibError: Something that is needed was not given, such as the format.
     """
     if isinstance(source, Calibration):
         name = chosen_format(path, options.to, "result")

@@ -97,12 +97,12 @@ class StaticTransform(Value):
 
 
 def file_of(transform: StaticTransform, about: str, path: Path) -> bytes:
-    """Return the bytes of a shell script, or by the ending `LAUNCH` of a launch file, that publishes a pose in tf2.
+    """Return the bytes of a ROS 2 launch file, if the path ends in .py, else of a shell script, that publishes a pose.
 
     Args:
         transform: The pose.
         about: A description of it, for the first comment.
-        path: The file that is to be written.
+        path: The file that is to be written; nothing is written here.
 
     Raises:
         FileError: The numbers do not read back.
