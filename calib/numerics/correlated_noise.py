@@ -95,7 +95,7 @@ def standardisers(covariances: Array) -> Array:
 def likeliest_noise(
     stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
 ) -> PoseNoise:
-    """Return the noise of poses of the highest likelihood, given the expected squares of their errors.
+    """Return the likeliest noise of poses, with a weak prior of s about 1, given the expected squares of their errors.
 
     Args:
         stated: C, shape (n, 6, 6) [m^2, m rad, rad^2].

@@ -60,7 +60,7 @@ class SquaredErrors:
             change: What is added to the m zeros, shape (m,), [rad] or [m]; None: nothing.
 
         Returns:
-            The root of mean_square + s c + c H c, in the unit.
+            The root of mean_square + s c + c H c, in the unit of the errors: [m], [rad] or [px].
         """
         mean_square = self.mean_square
         if change is not None:

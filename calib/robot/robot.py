@@ -446,9 +446,11 @@ class Robot(Value):
         """Return a new robot with other placements, and the ``<origin>`` elements to match.
 
         Args:
-            placements: Shape (n + 1, 4, 4), [m].
+            placements: Finite, shape (n + 1, 4, 4), [m], as the attribute of this name: the first one stands in the
+                chain's root, the last one is the tip's.
 
         Raises:
+            ModelError: Another shape, or a number that is not finite.
             UrdfError: A placement differs but no URDF joint can carry it: the tip's, or that of a moving base.
         """
         shape = self.placements.shape

@@ -143,8 +143,8 @@ def before_and_after(c: Calibration) -> tuple[str, Errors, Errors]:
         c: The result.
 
     Returns:
-        The rows that they are of, ``"held-out"``, ``"validation"`` or ``"fitted"``; and the errors of both robots, of
-        the geometry alone and without outliers.
+        The rows that they are of, ``"held-out"`` (without outliers), ``"validation"`` or ``"fitted"`` (all of them);
+        and the errors of both robots, of the geometry alone. Those of the nominal robot may be NaN.
     """
     before, after = c.trust.nominal_cross_validation, c.cross_validation
     if before is not None and after is not None:

@@ -111,9 +111,10 @@ def register_all_rows(
 
 
 def _register_to_views(setup: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> Setup:
-    """Register frames and targets to the poses of the targets in single views, without those that are far off.
+    """Register frames and targets to a pose for each view, and to the rows of other kinds, again without far-off ones.
 
-    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
+    The second time is left out if too few would be near. The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m];
+    ``tolerance`` is that of `register_all_rows`. It raises `MeasurementError` if no view determines a pose.
     """
     poses, source_rows = views_as_poses(rows)
     T_base_tip = T_base_tip[source_rows]

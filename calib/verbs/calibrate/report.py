@@ -112,7 +112,7 @@ def write_report(
 def report(
     c: Calibration, *, command: str = "", columns: Sequence[ErrorColumn] = ERROR_COLUMNS
 ) -> Page:
-    """List the sections that show a calibration, each with the places where it is shown.
+    """List the sections that show a calibration, each with its media: terminal and HTML unless it says otherwise.
 
     Args:
         c: The result. Sections for HTML need its measurements and its solved problem in memory.
@@ -187,7 +187,7 @@ def _rows_text(m: Measurements) -> str:
 
 
 def _head(c: Calibration) -> Iterator[Block]:
-    """Name the robot and count the rows."""
+    """Name the robot, count the measured rows, and say which DH rows it was made from and how readings are coupled."""
     rows = rows_sentence(c.nominal)
     yield Paragraph(
         f"calib {__version__}: robot {chain_name(c.nominal)}, {len(c.nominal.joints)} joints; "

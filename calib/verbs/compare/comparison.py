@@ -133,7 +133,7 @@ class Comparison(Value):
         return write_table(self.table(), path, overwrite=overwrite)
 
     def __repr__(self) -> str:
-        """One line with the ``names`` of both results, the ``outcome``, and the p-value of the ``test``."""
+        """One line with the names of both results, the outcome, and the p-value of the test that nothing drifted."""
         first, second = self.names
         return one_line(
             "Comparison", repr(first), repr(second), self.outcome, f"p = {self.test.p:.2g}"

@@ -151,8 +151,8 @@ def fleet(
 
     Raises:
         ArgumentError: An argument of another type, or an unknown option.
-        CalibError: Names that cannot be those of folders, robots that are not those of the tables, or a worker was
-            killed.
+        CalibError: Names that cannot be those of folders, robots or cells that are not those of the tables, no such
+            solver, a worker was killed, or reports are asked for and matplotlib is missing.
         FileError: The folder cannot be written.
 
     Example:
