@@ -29,7 +29,7 @@ def views_as_poses(rows: Rows) -> tuple[Rows, Integers]:
         such as that of corners on a line, is left out.
 
     Raises:
-        MeasurementError: All are.
+        MeasurementError: No view determines a pose.
     """
     labels = np.column_stack([rows.blocks, rows.samples.frame, rows.samples.target])
     _, view = np.unique(labels, axis=0, return_inverse=True)

@@ -53,7 +53,11 @@ class Folds:
         Args:
             blocks: Number of the block of each row, shape (N,), see `Rows`. Rows of one block stay together.
             stations: Number of the station of each row, shape (N,); None: stations are not held out whole.
-            measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does.
+            measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does. It
+                decides on the method's name alone.
+
+        Returns:
+            The folds; a single one if all rows are of one block. Of very many stations several are held out together.
         """
         if stations is not None and len(np.unique(stations)) >= _FEWEST_STATIONS:
             numbers = np.unique(stations)
@@ -162,7 +166,8 @@ def held_out_residual(fitted: Fitted, rows: Rows, held_out: Mask, outliers: Mask
         outliers: True for the rows that have no part in a registration, shape (N,).
 
     Returns:
-        Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels.
+        Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels; frames and
+        targets that only they see are registered to them first.
     """
     samples = rows.samples.select(held_out)
     T_base_tip = fitted.tip_poses(samples)

@@ -177,7 +177,7 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
 
 
 def _with_wide_priors(stage: Stage) -> Stage:
-    """Return a stage with priors so many times (`_WIDE`) as wide as given, or as estimated if that is wider still."""
+    """Return a stage with the prior std of families `_WIDE` times as given, or as estimated if that is wider still."""
     start = np.array(stage.prior.start, dtype=np.float64)
     return replace(stage, prior_std=np.maximum(stage.prior_std, _WIDE * start))
 
