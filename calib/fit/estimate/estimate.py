@@ -64,7 +64,10 @@ class Estimate(Value):
 
     @property
     def sigma(self) -> dict[str, float]:
-        """Estimated standard deviation of one scalar by its unit, median over all scalars that were fitted."""
+        """Estimated standard deviation of one scalar by the symbol of its unit, "m", "rad" or "px", in this unit.
+
+        It is the median over all scalars that were measured.
+        """
         scales, channels = self.problem.scales, self.problem.rows.channels
         return {unit: float(np.median(scales[channels.where(unit)])) for unit in channels.present}
 

@@ -184,7 +184,7 @@ class Setup(Value):
         return replace(self, unknown=tuple(unknown), target_unknown=target_unknown)
 
     def with_estimated_not_given(self) -> Setup:
-        """Return a copy with every frame and target that is estimated marked as not given.
+        """Return a copy with every frame and target that is estimated marked as not given, and all others as given.
 
         What is not given is registered for the nominal robot; what is given would not be.
         """

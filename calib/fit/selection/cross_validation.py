@@ -69,6 +69,7 @@ def cross_validation(
 
     Raises:
         MeasurementError: All rows are of one pose, or the others are too few for a fit.
+        SolverError: The residual of a fit without a fold is not finite at its start.
     """
     rows = fitted.estimate.problem.rows
     folds = Folds.of_task(fitted.task, rows)
@@ -91,7 +92,8 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     Args:
         task: The fit of the calibrated robot, which says what is estimated.
         rows: The N rows that were fitted.
-        outliers: True for the rows that have no part in registrations and in the errors without outliers, shape (N,).
+        outliers: True for the rows that have no part in the errors without outliers, shape (N,), nor in registrations,
+            unless they are more than half of a frame's.
 
     Returns:
         Residuals of the N rows, measured minus predicted by the nominal robot, shape (N, D), in the units of the rows'

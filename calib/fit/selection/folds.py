@@ -191,7 +191,8 @@ def residual_after_registration(
         rows: The N rows of all folds.
         held_out: True for the n rows to predict, shape (N,).
         used: True for the rows from which frames and targets were estimated, shape (N,).
-        outliers: True for the rows that have no part in the registration, shape (N,).
+        outliers: True for the rows that have no part in the registration, shape (N,), unless they are more than half of
+            a frame's.
 
     Returns:
         Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels.

@@ -87,7 +87,8 @@ class Stops:
     def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
         """Find the stops of a table at which several targets were measured.
 
-        The rows of a stop are of one pose, one measurement frame and one kind, which measures a position.
+        The rows of a stop are of one pose, one measurement frame and one kind, which measures positions, or points in
+        images.
 
         Args:
             kinematics: The nominal robot under its error model, frames and targets as registered; it gives the pose of
@@ -144,6 +145,9 @@ class Stops:
 
         Args:
             count: shape (N,), how many times the stop of each of the table's rows was drawn.
+
+        Returns:
+            The same stops with other derivatives J, which are 0 for those not drawn.
         """
         often = count[self.rows, None, None]
         shrunk = self.J / np.sqrt(np.maximum(often, 1))
@@ -329,7 +333,8 @@ class Stops:
 def _number_stops(rows: Rows) -> Integers | None:
     """Number the stop of each row, (N,), not all numbers being used; None if no stop has several targets.
 
-    The number is -1 for rows of a stop with one target, or of a kind that measures no position.
+    The number is -1 for rows of a stop with one target, or of a kind that measures neither positions nor points in
+    images.
     """
     measured_point = rows.poses  # of one frame, target and corner at one pose
     if not len(rows) or len(np.unique(measured_point)) == len(np.unique(rows.blocks)):
