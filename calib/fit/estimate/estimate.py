@@ -84,7 +84,10 @@ class Estimate(Value):
 
 
 def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
-    """Return a problem with the weights, noise and priors of a stage of one fit (B = 1)."""
+    """Return a problem with weights, noise, priors and shares of stops of a stage of one fit (B = 1).
+
+    The weights are the effective ones, in which repeats are shared out.
+    """
     priors = stage.priors
     return replace(
         problem,

@@ -48,7 +48,7 @@ class StageSolver:
 
         Args:
             problem: The least-squares problem, whose weights, noise and priors each stage sets.
-            task: The fit, of which the solver counts.
+            task: The fit, of which the solver alone counts; if it is a name, it must be one of `SOLVERS`.
             start: shape (p,), parameters where the first solve begins [m, rad, ...].
         """
         self._problem = problem
