@@ -180,7 +180,7 @@ class Stage:
         return stage
 
     def _median_noise(self, linear: LinearProblem) -> Array:
-        """Noise of each channel, (B, C), by the median norm of its rows' deleted residuals, in units of the given sigma.
+        """Noise of each channel, (B, C), from the median norm of its deleted residuals, in units of the given sigma.
 
         It is never below the lowest noise of the channel.
         """
