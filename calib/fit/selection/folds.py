@@ -51,7 +51,8 @@ class Folds:
         """Divide rows into folds: whole stations if at least three are given, else single poses, or tenths of many.
 
         Args:
-            blocks: Number of the block of each row, shape (N,), see `Rows`. Rows of one block stay together.
+            blocks: Number of the block of each row, shape (N,). Rows of one block (one pose, or the two of a pair) stay
+                together.
             stations: Number of the station of each row, shape (N,); None: stations are not held out whole.
             measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does. It
                 decides on the method's name alone.
