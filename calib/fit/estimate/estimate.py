@@ -64,7 +64,10 @@ class Estimate(Value):
 
     @property
     def sigma(self) -> dict[str, float]:
-        """Estimated standard deviation of one scalar by its unit, median over all scalars that were fitted."""
+        """Estimated standard deviation of one scalar by the symbol of its unit, "m", "rad" or "px", in this unit.
+
+        It is the median over all scalars that were measured.
+        """
         scales, channels = self.problem.scales, self.problem.rows.channels
         return {unit: float(np.median(scales[channels.where(unit)])) for unit in channels.present}
 
@@ -81,7 +84,10 @@ class Estimate(Value):
 
 
 def problem_at_stage(problem: Problem, stage: Stage) -> Problem:
-    """Return a problem with the weights, noise and priors of a stage of one fit (B = 1)."""
+    """Return a problem with weights, noise, priors and shares of stops of a stage of one fit (B = 1).
+
+    The weights are the effective ones, in which repeats are shared out.
+    """
     priors = stage.priors
     return replace(
         problem,

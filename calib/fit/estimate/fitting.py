@@ -83,7 +83,7 @@ class Fitted(Value):
             The fit with a new `setup` and `kinematics`; itself if no frame or target is unknown.
 
         Raises:
-            MeasurementError: Too few rows for a frame or target.
+            MeasurementError: Fewer numbers than unknowns of a frame or target.
         """
         if not held_out.count:
             return self
@@ -178,10 +178,14 @@ def fit(
         reference: Fit of another model to these rows, whose registration, weights, scores and limit are taken over;
             None to estimate the weights.
 
+    Returns:
+        The registered frames and targets, and the estimate from there.
+
     Raises:
-        ModelError: An unknown model, parameter or solver, or nothing to estimate.
-        MeasurementError: Fewer numbers than unknowns.
+        ModelError: An unknown model, parameter or solver, nothing to estimate, or rows that the solver does not take.
+        MeasurementError: Fewer numbers than unknowns of frames and targets; or than parameters, if priors are off.
         SolverError: No finite residual at the start.
+        ArgumentError: A solver that a user wrote returned something else than a `Solution`.
     """
     if reference is not None:
         of_reference = reference.estimate.problem

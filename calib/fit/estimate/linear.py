@@ -107,6 +107,10 @@ class LinearProblem(Value):
         Args:
             weights: shape (B, N), of the rows in each fit; the variance of a row is divided by its weight.
             stop_shares: shape (C, 3) or (B, C, 3), what the targets of a stop have in common, see `Stops`.
+
+        Returns:
+            The equations of the B fits, with those of each of C channels apart, in units of the given sigma, and with
+            the constraints.
         """
         for of_weights, of_shares, equations in self._cache:
             if np.array_equal(of_weights, weights) and np.array_equal(of_shares, stop_shares):

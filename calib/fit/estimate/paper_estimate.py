@@ -30,7 +30,7 @@ _MM = 1e3
 
 
 def paper_start(setup: Setup) -> Setup:
-    """Return what of frames and targets is registered: the paper starts at the given targets, if all are given."""
+    """Return the setup to register for the paper's start: all targets are fixed where they were given, if all were."""
     keep = np.full(len(setup.targets), bool(np.all(setup.target_given)))
     return setup.with_fixed(np.zeros(len(setup.groups), dtype=bool), keep)
 
@@ -44,6 +44,9 @@ def paper_estimate(problem: Problem, task: Task, registered: Setup) -> Estimate:
         problem: The least-squares problem before any estimate.
         task: The fit.
         registered: Measurement frames and targets at the start of the fit, from where their parameters count.
+
+    Returns:
+        The estimate, of which all rows have the weight 1 and which has no prior standard deviations.
 
     Raises:
         ModelError: Rows other than points, or several targets.

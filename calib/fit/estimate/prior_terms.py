@@ -54,6 +54,8 @@ class PriorTerms:
     def of(cls, task: Task, model: ErrorModel, registered: Setup) -> PriorTerms:
         """Return the priors and bounds that a cell states; no parameter is held at a bound.
 
+        Internals of instruments have the prior that is known of them, unless the cell gives another standard deviation.
+
         Args:
             task: The fit; its cell has the priors and bounds, its setup the frames and targets as given.
             model: The p parameters that are estimated.

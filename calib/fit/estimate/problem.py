@@ -116,7 +116,10 @@ class Problem(Value):
         )
 
     def with_size_held(self) -> Problem:
-        """Return the problem with the arm's size held at the nominal one; itself if something measures a length."""
+        """Return the problem with the arm's size held at the nominal one; unchanged if something measures a length.
+
+        Size is not held either if the parameters cannot make the arm grow, or rows see it grow (`find_size_gauge`).
+        """
         if measures_length(self.rows, self.distances):
             return self
         linear = self.linear(np.zeros(self.size))
@@ -125,7 +128,10 @@ class Problem(Value):
         return replace(self, gauge=gauge, _last=[])  # the linearised problem has no gauge
 
     def with_rows(self, rows: Rows) -> Problem:
-        """Return the problem with the same rows whose errors are given otherwise: by another noise of poses."""
+        """Return the problem with the same rows whose given errors differ, such as by another noise of poses.
+
+        Weights, noise and priors stay.
+        """
         return replace(
             self,
             rows=rows,
@@ -201,6 +207,9 @@ class Problem(Value):
 
         Args:
             x: shape (p,), offsets [m, rad, ...].
+
+        Returns:
+            Residual and Jacobian at x in units of each scalar's given sigma, and the constraints.
         """
         if self._last and np.array_equal(x, self._last[0].x):
             return self._last[0]

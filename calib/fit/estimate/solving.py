@@ -48,7 +48,7 @@ class StageSolver:
 
         Args:
             problem: The least-squares problem, whose weights, noise and priors each stage sets.
-            task: The fit, of which the solver counts.
+            task: The fit, of which the solver alone counts; if it is a name, it must be one of `SOLVERS`.
             start: shape (p,), parameters where the first solve begins [m, rad, ...].
         """
         self._problem = problem
@@ -69,7 +69,7 @@ class StageSolver:
             The solution, with the history and number of evaluations of all solves so far.
 
         Raises:
-            ArgumentError: A solver returned something else.
+            ArgumentError: A solver that a user wrote returned something else than a `Solution`.
             SolverError: The residual is not finite at the start.
         """
         system = problem_at_stage(self._problem, stage).system
@@ -125,12 +125,18 @@ class StageSolver:
 
 
 def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
-    """Estimate the parameters, weights, noise and prior standard deviations, without bounds.
+    """Estimate the parameters, weights, noise and prior standard deviations, without regard to bounds.
+
+    Rows of sole postures have no part in it; they move the parameters at the end (`add_sole_postures`).
 
     Args:
         problem: The least-squares problem, with its rows of sole postures marked.
         task: The fit.
-        prior: Priors, at whose means the first solve begins; parameters that are held at a bound have a narrow one.
+        prior: Priors, at whose means the first solve begins; parameters that are held at a bound have a narrow one. Its
+            source says whether their standard deviations are estimated or kept.
+
+    Returns:
+        The estimate, by all rows.
 
     Raises:
         SolverError: The residual is not finite at the start.
@@ -158,6 +164,9 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
         task: The fit.
         prior: Priors and bounds of the p parameters, none of them held.
 
+    Returns:
+        The last estimate, with the indices of the parameters that are held at a bound.
+
     Raises:
         SolverError: The residual is not finite at the start.
     """
@@ -183,9 +192,10 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
 
 
 def _pulled_inwards(estimate: Estimate, prior: PriorTerms, fixed: Mapping[int, float]) -> set[int]:
-    """Indices of parameters at a bound whose release would lower the sum of squares, within the bounds.
+    """Indices of parameters at a bound, given with their value, whose release would lower the sum of squares.
 
-    A Gauss-Newton step of one parameter alone lowers the sum of squares by slope^2 / curvature.
+    Those count that it would move inwards, off the bound. A Gauss-Newton step of one parameter alone lowers the sum of
+    squares by slope^2 / curvature.
     """
     residual, jacobian = _without_holds(estimate, prior).system(estimate.x)
     slope = jacobian.T @ residual  # gradient of half the sum of squares

@@ -180,7 +180,10 @@ class Stage:
         return stage
 
     def _median_noise(self, linear: LinearProblem) -> Array:
-        """Noise of each channel, (B, C), by the median of its rows' deleted residuals; at least the lowest."""
+        """Noise of each channel, (B, C), from the median norm of its deleted residuals, in units of the given sigma.
+
+        It is never below the lowest noise of the channel.
+        """
         x, covariance, _ = self.fit(linear)
         noise = np.empty_like(self.noise)
         for c, smallest in enumerate(linear.smallest_noise):
@@ -284,9 +287,9 @@ class Stage:
         return replace(self, repeat_factor=1.0 / (1.0 + others * rho[:, None]))
 
     def by_stops(self, linear: LinearProblem) -> Stage:
-        """Return the stage with what the targets of a stop have in common estimated; itself if there are no stops.
+        """Return the stage with new `stop_shares`, estimated from the residuals; itself if there are no stops.
 
-        It is 0 in channels whose noise is mere rounding.
+        They are 0 in channels whose noise is mere rounding.
         """
         if linear.stops is None:
             return self

@@ -38,8 +38,9 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
         rows: N rows.
 
     Returns:
-        The setup with estimated translations, and targets turned as they were measured; None if a rotation of a frame
-        is estimated, or a row measures other than three coordinates.
+        The setup with estimated translations, and targets turned as they were measured (see
+        `with_measured_target_rotations`); targets that no row sees stay. None if a rotation of a frame is estimated, or
+        the kind of a row does not compare the target's three coordinates (``point``, ``pose``, ``fixed`` do).
     """
     unknown = {direction for directions in setup.unknown for direction in directions}
     only_coordinates = all(kind.coordinates and not kind.readings for kind in rows.present)
@@ -88,13 +89,16 @@ def linear_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
 def orientation_setup(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup | None:
     """Estimate frames that are wholly unknown and the targets from measured orientations, then from positions.
 
+    Frames that are estimated in part keep their rotation.
+
     Args:
         setup: The frames and targets.
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         rows: N rows.
 
     Returns:
-        The setup; None if no frame is wholly unknown, no target is estimated, or a row has no orientation.
+        The setup with the estimated poses; None if no frame is wholly unknown, no target is estimated, or a row has no
+        orientation or no position.
     """
     oriented = rows.where(lambda kind: kind.orientation)
     if not np.any(setup.wholly_unknown) or not setup.estimate_target or not np.all(oriented):
@@ -142,13 +146,17 @@ def _frame_rotation(R_tip: Array, R_measured: Array) -> Array:
 def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
     """Fit each estimated frame to its rows, with the targets as they are.
 
-    By measured points if there are three and the frame is wholly unknown, else by the kind of rows that has the most
-    scalars (a socket before a plane), else by the mean of the points.
+    By measured points if there are three or more and the frame is wholly unknown, else by the kind of rows that locates
+    its frame (`Kind.locate`) and has the most scalars (a socket before a plane), else only shifted by the mean of
+    measured minus predicted points; without any it stays.
 
     Args:
         setup: Frames to be fitted, and targets.
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         rows: N rows.
+
+    Returns:
+        The setup with fitted frames; fixed ones, and those that no row sees, stay as they are.
     """
     T_base_target = T_base_tip @ setup.T_tip_target[rows.samples.target]
     points = T_base_target[:, :3, 3]
@@ -206,9 +214,12 @@ def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) 
     """Turn the estimated targets to the mean of their measured orientations, with the frames as they are.
 
     Args:
-        setup: Frames, and targets to be turned; targets without measured orientation stay.
+        setup: Frames, and targets to be turned.
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         rows: N rows.
+
+    Returns:
+        The setup with turned targets, at the same positions; fixed ones, and those without measured orientation, stay.
     """
     T_tip_target: Array = setup.T_tip_target.copy()
     T_frame_base = setup.T_frame_base[rows.samples.frame]
@@ -224,7 +235,7 @@ def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) 
 
 
 def nearest_rotation(M: Array) -> Array:
-    """Return the rotation matrix, (3, 3), nearest to a matrix M, (3, 3), in the least-squares sense."""
+    """Return the proper rotation matrix, (3, 3), nearest to any matrix M, (3, 3), in the least-squares sense."""
     U, _, V = np.linalg.svd(M)
     handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))])
     return np.asarray(U @ handed @ V)

@@ -53,12 +53,16 @@ _ROWS_OF_TARGET = 10
 
 
 def frames_to_search(setup: Setup, rows: Rows) -> list[int]:
-    """Return the numbers of the frames that have to be searched, ordered by the names of their stations.
+    """Return the frames that have to be searched from many starts, because nothing says where they may be.
 
     Args:
         setup: Frames and targets, with what is estimated of them; the pose of a frame is not given if it is the
             identity.
         rows: N rows; frames that they do not see are left out.
+
+    Returns:
+        Numbers, from 0, of the estimated frames without given pose none of whose rows measures a position or locates
+        the frame; ordered by the names of their stations.
     """
 
     def gives_start(kind: Kind) -> bool:
@@ -80,6 +84,8 @@ def frames_to_search(setup: Setup, rows: Rows) -> list[int]:
 
 def find_frame(setup: Setup, f: int, T_base_tip: Array, rows: Rows) -> Setup:
     """Find a frame, and the targets that are estimated with it, by least squares from many starts.
+
+    Of many rows a part is used.
 
     Args:
         setup: Frames and targets; of the frames only this one is estimated.
@@ -141,7 +147,7 @@ def _agree(minima: list[tuple[float, Setup]], T_base_tip: Array, rows: Rows) -> 
 
 
 def _lowest(minima: list[tuple[float, Setup]]) -> tuple[float, Setup]:
-    """The first of the minima with the lowest sum of squares."""
+    """The first of the minima (cost and setup) with the lowest cost, which is half the sum of squares."""
     return min(minima, key=lambda minimum: minimum[0])
 
 
@@ -188,10 +194,10 @@ def _random_pose(
     centre: Array,
     farthest: float,
 ) -> Array:
-    """Draw a pose of a frame, (4, 4) [m], displaced from the identity in the directions that are estimated.
+    """Draw T_frame_base of a frame, (4, 4) [m], displaced from the identity in the directions that are estimated.
 
-    Its origin is at most ``farthest`` [m] from the centre, (3,), in the base; its rotation is uniform in SO(3) if all
-    are estimated.
+    Its origin is at most ``farthest`` [m] from the centre, (3,) [m], in the base, and its rotation uniform in SO(3), if
+    all six are estimated; of ``"x"`` to ``"rz"`` those that are not stay zero.
     """
     translates, turns = np.array([axis in directions for axis in DIRECTIONS]).reshape(2, 3)
     quaternion = random.standard_normal(4)  # its scalar is the last one

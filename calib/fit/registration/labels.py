@@ -75,7 +75,7 @@ def same_poses(joints: Array) -> Integers:
 
 
 def joined_stations(rows: Rows, distances: Sequence[KnownDistance]) -> Integers:
-    """Number the stations of N rows, shape (N,); those with a known distance between them are one."""
+    """Number the station of each of N rows, shape (N,), from 0; stations with a known distance between them are one."""
     pairs = [(distance.first, distance.second) for distance in distances]
     # A distance may be to a frame that these rows do not see.
     highest = max((max(pair) for pair in pairs), default=0)

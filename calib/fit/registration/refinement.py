@@ -38,12 +38,16 @@ _REFINED = 5
 
 
 def find_starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
-    """Return setups from which to refine a registration; one if orientations determine it.
+    """Return setups from which to refine a registration.
 
     Args:
         setup: Frames and targets, with what is estimated of them.
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         rows: N rows.
+
+    Returns:
+        One setup if measured orientations determine it (`orientation_setup`); else one for each place where the targets
+        are tried, and each turn of a single frame, with the frames fitted to their rows.
     """
     by_orientation = orientation_setup(setup, T_base_tip, rows)
     if by_orientation is not None:
@@ -66,10 +70,15 @@ def find_starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
 
 
 def target_poses(setup: Setup) -> list[Array]:
-    """Return poses of all targets in the tip to start from, each of shape (T, 4, 4): as they are, and along each axis.
+    """Return poses of all targets in the tip from which to start.
 
     Args:
-        setup: Targets, and which of them are estimated.
+        setup: T targets, and which of them are estimated.
+
+    Returns:
+        Poses T_tip_target, each of shape (T, 4, 4) [m]: first all as they are; then, unless none is estimated, with all
+        estimated targets moved to one place, at several distances from the tip along either side of each of its axes,
+        and to the tip itself if the position of one was given. Orientations stay.
     """
     result = [setup.T_tip_target]
     if not setup.estimate_target:
@@ -93,6 +102,9 @@ def refine_best(starts: Iterable[Setup], T_base_tip: Array, rows: Rows, toleranc
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         rows: N rows.
         tolerance: Relative fall of the sum of squares at which a refinement ends.
+
+    Raises:
+        SolverError: The residual is not finite at a start.
     """
 
     def sum_of_squares(setup: Setup) -> float:
@@ -118,6 +130,9 @@ def refine(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tup
 
     Returns:
         Half the sum of squared residuals, in units of each scalar's sigma, and the setup, at the minimum.
+
+    Raises:
+        SolverError: The residual is not finite at the start.
     """
     model = frame_and_target_model(
         start.frame_unknowns, start.unknown_targets, start.target_names, rotation=start.rotation

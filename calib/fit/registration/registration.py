@@ -56,7 +56,9 @@ def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 
         The setup with the estimated poses; fixed ones, and those that no row observes, stay as they are.
 
     Raises:
-        MeasurementError: Fewer numbers than unknowns.
+        MeasurementError: Fewer numbers than unknowns, in all or at one station; fewer than three points of a frame that
+            is wholly unknown; or no view of an instrument determines a pose.
+        SolverError: The residual is not finite at a start.
     """
     # Enough numbers for the unknowns, of the table and of each frame.
     frames, targets = setup.seen_by(rows.samples)
@@ -88,8 +90,15 @@ def register_all_rows(
     Args:
         T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
         setup: Frames and targets, with what is estimated of them.
-        rows: N rows.
+        rows: N rows; they are not counted.
         tolerance: Relative fall of the sum of squares at which the refinement ends.
+
+    Returns:
+        The setup with the estimated poses; itself if nothing is estimated.
+
+    Raises:
+        MeasurementError: No view of an instrument determines a pose.
+        SolverError: The residual is not finite at a start.
     """
     if not setup.count:
         return setup
@@ -172,8 +181,11 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
         setup: Frames and targets; given ones stay as they were given, though the fit may estimate them.
         rows: N rows.
 
+    Returns:
+        The setup in which given frames and targets are marked as fixed, and the others have registered poses.
+
     Raises:
-        MeasurementError: Fewer numbers than unknowns.
+        MeasurementError: Fewer numbers than unknowns, or too few points, see `register`.
     """
     return _register_without_outliers(T_base_tip, setup.with_given_fixed(), rows)
 
@@ -188,10 +200,10 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
         rows: N held-out rows.
 
     Returns:
-        ``fitted`` with the poses of the unknown frames and targets of ``held_out``.
+        ``fitted`` with the poses of the unknown frames and targets of ``held_out`` as registered.
 
     Raises:
-        MeasurementError: Fewer numbers than unknowns.
+        MeasurementError: Fewer numbers than unknowns, or too few points, see `register`.
     """
     concerned = held_out.unknown_at(rows.samples)
     start = held_out.with_poses(fitted.T_frame_base, fitted.T_tip_target)
@@ -202,7 +214,8 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
 def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     """Register frames and targets, repeatedly without the rows whose residual is far above the median.
 
-    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m].
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m]; of very many rows a part is used. It raises
+    `MeasurementError` if these are too few (`register`).
     """
     if not setup.count:
         return setup
@@ -222,7 +235,8 @@ def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> S
 def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:
     """Rows, (N,), whose residual is not far above the median, with the tip at T_base_tip, (N, 4, 4) [m]; and partners.
 
-    None if too few are left, of all rows or of a frame's.
+    Compared are the norms of each row's scalars in units of their sigma. None if too few are left, of all rows or of a
+    frame's.
     """
     measuring = np.any(rows.used, axis=1)
     residual = rows.residual(setup.sightings(T_base_tip, rows.samples))
@@ -273,6 +287,6 @@ def _subsample(rows: Rows) -> Mask:
 
 
 def _evenly_spaced(values: Integers, most: int) -> Integers:
-    """Return at most so many of n values, (n,), evenly spaced in their order."""
+    """Return at most ``most`` of n values, (n,), evenly spaced in their order; all if there are no more."""
     spaced = np.linspace(0, len(values) - 1, min(len(values), most))
     return np.asarray(values[spaced.astype(int)])

@@ -162,6 +162,7 @@ class Rows:
         """Standard deviation of each entry as given or assumed before the fit, shape (N, D), in its unit.
 
         Of rows with a covariance it is the root of the diagonal of V, with ``pose_noise``, which the fit estimates.
+        Entries where nothing was measured have that of the row's lengths [m].
         """
         result = np.repeat(self.sigma["m"][:, None], self.width, axis=1)
         for unit in self.channels.present:
@@ -294,7 +295,8 @@ class Rows:
         """Return measured minus predicted.
 
         Args:
-            sightings: Poses of the N targets, and the internals of their instruments.
+            sightings: Predicted poses of the N targets in their frames and the internals of their instruments, or these
+                poses alone, shape (N, 4, 4) [m]: then the internals are those of ``samples``.
 
         Returns:
             shape (N, D), in the units of ``channels``; 0 where nothing was measured.
@@ -316,7 +318,7 @@ class Rows:
                 instruments, with the parameters that change them.
 
         Returns:
-            shape (N, D, p); 0 where nothing was measured.
+            shape (N, D, p), in the units of ``channels`` per unit of each parameter; 0 where nothing was measured.
         """
         assert sightings.twists is not None, "sightings without motions"
         shape = (len(self), self.width, sightings.twists.shape[2])
@@ -390,10 +392,13 @@ class Rows:
         return result
 
     def as_measured_at(self, T_frame_target: Array) -> Rows:
-        """Return the rows with the readings of a perfect instrument.
+        """Return the rows with the readings of a perfect instrument in place of what was measured.
 
         Args:
             T_frame_target: shape (N, 4, 4), true pose of each row's target in its frame [m].
+
+        Returns:
+            The rows; those of kinds whose target is held, such as a ball in a socket, stay as they are.
         """
         measured = self.measured.copy()
         for kind, rows in self._by_kind:
@@ -441,7 +446,7 @@ class Rows:
         return kept if self.keeps_frames(kept) else np.ones_like(kept)
 
     def evenly(self, most: int) -> Mask:
-        """Draw about ``most`` rows, the same share of each frame, target and kind; pairs stay whole.
+        """Draw about ``most`` rows, the same share of each frame, target and kind, but a few of each; pairs stay whole.
 
         Drawn at random, with a fixed seed: tables have cycles, and every tenth row may be of one kind of pose.
 
@@ -470,7 +475,7 @@ class Rows:
         return self.with_partners(result)
 
     def parts(self, size: int) -> list[slice]:
-        """Split the rows into parts of ``size`` rows; into one part if there are pairs, which stay together."""
+        """Split the rows into slices of at most ``size`` rows; into one if there are pairs, which stay together."""
         if np.any(self.partner >= 0):
             size = max(len(self), 1)
         return [slice(k, k + size) for k in range(0, len(self), size)]

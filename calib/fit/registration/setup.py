@@ -88,7 +88,7 @@ class Setup(Value):
 
     @property
     def count(self) -> int:
-        """Number of unknowns of all frames and targets."""
+        """Number of unknowns of all frames and targets: internals of instruments are not counted."""
         of_frames = sum(len(directions) for directions in self.unknown)
         of_each_target = 6 if self.rotation else 3
         of_targets = of_each_target * int(np.sum(self.target_unknown))
@@ -132,11 +132,15 @@ class Setup(Value):
         return np.asarray(T_frame_tip @ self.T_tip_target[samples.target])
 
     def sightings(self, T_base_tip: Array, samples: Samples) -> Sightings:
-        """Return what the readings of samples are predicted from; no parameter changes the internals.
+        """Return what the readings of samples are predicted from.
 
         Args:
             T_base_tip: shape (N, 4, 4), pose of the tip at each sample [m].
             samples: Their frames, targets and instruments.
+
+        Returns:
+            T_frame_target of each sample, and the internals of its instrument as this setup has them, which no
+            parameter changes.
         """
         changes = [(unknown.parameter, unknown.change, FIXED) for unknown in self.internals]
         internals = changed_internals(samples.internals, changes)
@@ -180,7 +184,7 @@ class Setup(Value):
         return replace(self, unknown=tuple(unknown), target_unknown=target_unknown)
 
     def with_estimated_not_given(self) -> Setup:
-        """Return a copy with every frame and target that is estimated marked as not given.
+        """Return a copy with every frame and target that is estimated marked as not given, and all others as given.
 
         What is not given is registered for the nominal robot; what is given would not be.
         """
@@ -188,7 +192,7 @@ class Setup(Value):
         return replace(self, frame_given=frame_known, target_given=~self.target_unknown)
 
     def turn_directions(self, model: ErrorModel) -> ErrorModel:
-        """Turn the directions of frame and target parameters: a plane's to its own axes, positions to the tip's axes.
+        """Turn directions of frame and target parameters: a plane's to its own axes, a target's position to the tip's.
 
         An error model has the directions of a frame along the base's axes and those of a target along its own. With the
         rotation R of T_frame_base a unit along one of the plane's axes e is the twist R^T e.
@@ -243,6 +247,9 @@ def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
     Args:
         cell: Its distances name groups; a "*" stands for the same text in both names.
         setup: Its groups are those of the table.
+
+    Returns:
+        One distance between frames, by their numbers, for each pair of groups that a stated one names.
 
     Raises:
         ModelError: A distance whose groups the table lacks.

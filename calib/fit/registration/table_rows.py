@@ -34,10 +34,12 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         cell: Frames, targets and noise as given.
 
     Returns:
-        All N rows, in the table's order, and the measurement setup, not yet registered.
+        All N rows, in the table's order, and the measurement setup, not yet registered. Sigma is the row's, else the
+        cell's, else an assumed one. Loads on the joints are None if no family of the cell's model depends on them.
 
     Raises:
-        MeasurementError: A pair has one row only.
+        MeasurementError: A pair has one row only, the table lacks a joint of the robot, or what is known of an
+            instrument is not enough or contradicts its rows.
         ModelError: The cell names a group or target that the table lacks.
     """
     q = measurements.joints_for(robot.joint_names)
@@ -107,12 +109,14 @@ def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) 
 
     Args:
         robot: The nominal robot, with n joints.
-        measurements: Table of N rows; its torques [Nm] are those of the drives, which hold against the load.
+        measurements: Table of N rows; its torques [Nm] or forces [N] are those of the drives, which hold against the
+            load, so that the load is minus them. Where one is NaN, gravity and payload count.
         cell: Payload and gravity.
         q: shape (N, m), joint values of the rows in the robot's order [rad] or [m].
 
     Returns:
-        shape (N, n, n + 3), [Nm] or [N]; see `calib.robot.gravity.gravity_loads`.
+        shape (N, n, n + 3), [Nm] or [N], see `calib.robot.gravity.gravity_loads`; measured torques replace the first
+        column, [:, :, 0], alone.
     """
     load = gravity_loads(robot, q, cell.payload, cell.gravity)
     if measurements.torques is None:
@@ -187,7 +191,8 @@ def measurement_setup(
         kind_of_row: shape (N,), index of each row's kind in ``kinds``; `NONE` for the second row of a pair.
 
     Returns:
-        One frame for each group and one target for each name, in the order in which they first occur; not registered.
+        One frame for each group and one target for each name, in the order in which they first occur; not registered,
+        and without internals of instruments.
 
     Raises:
         ModelError: The cell names a group or target that the table lacks.

@@ -24,12 +24,12 @@ def views_as_poses(rows: Rows) -> tuple[Rows, Integers]:
         rows: N rows, of which some belong to views.
 
     Returns:
-        One pose row for each view and the rows of other kinds, all in table order; and the number in the table of a row
-        with the same joint values, shape (n,): of a view that of its first row. A view that does not determine a pose,
-        such as that of corners on a line, is left out.
+        One pose row for each view and the rows of other kinds, n in all, in the order of ``rows``; and for each the
+        index, from 0, of the one of the N rows that it stands for, shape (n,): of a view its first row. A view that
+        does not determine a pose, such as that of corners on a line, is left out.
 
     Raises:
-        MeasurementError: All are.
+        MeasurementError: No view determines a pose.
     """
     labels = np.column_stack([rows.blocks, rows.samples.frame, rows.samples.target])
     _, view = np.unique(labels, axis=0, return_inverse=True)

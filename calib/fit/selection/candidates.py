@@ -82,7 +82,7 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
 
     Args:
         task: The fit, with any model.
-        rows: The rows that are fitted.
+        rows: The rows that are fitted, with the loads on the joints.
 
     Returns:
         Names of the families, in the order of the registry.
@@ -150,8 +150,9 @@ class Candidate:
 def assess(fitted: Fitted) -> Candidate:
     """Cross-validate a model that was fitted, and weigh the evidence for it.
 
-    With priors the evidence is log L - c_k k - c_g g, for k prior standard deviations that are estimated from the data
-    and the geometry's rung g on the ladder, with the penalties c_k and c_g of each. Without priors it is
+    With priors the evidence is log L - c_k k - c_g g, with the restricted log-likelihood log L, for k prior standard
+    deviations that are estimated from the data (0 if they are kept as given) and the geometry's rung g on the ladder,
+    from 0, with the penalties c_k and c_g of each. Without priors it is
     -log(rms) / `CLEARLY` - g - f, where log(rms) of held-out errors is the mean over the units that were measured, and
     f the number of families.
 
@@ -160,6 +161,9 @@ def assess(fitted: Fitted) -> Candidate:
 
     Returns:
         The candidate, not marked as chosen.
+
+    Raises:
+        MeasurementError: All rows are of one pose.
     """
     estimate = fitted.estimate
     priors = fitted.task.cell.priors.source
@@ -198,6 +202,9 @@ def mark_chosen(
         candidates: All that were fitted.
         geometry: Name of the one for the URDF.
         non_geometric: Name of the non-geometric model; empty if there is none.
+
+    Returns:
+        Copies, in the same order; ``""`` marks those of neither name.
     """
     uses = {geometry: "geometry", non_geometric: "non_geometric"}
     return tuple(replace(c, chosen=uses.get(c.name, "")) for c in candidates)
@@ -234,8 +241,9 @@ def without_vanished_families(name: str, prior_std: Mapping[str, float]) -> str:
     """Return the name of a model without the families whose errors the data shrink to nothing.
 
     Args:
-        name: Of the geometry and its families.
-        prior_std: As of a `Candidate`.
+        name: Of the geometry and its families, such as ``"dh+gain"``.
+        prior_std: Estimated standard deviation of each family's errors, in its unit, as of a `Candidate`; a family that
+            is missing stays.
     """
     geometry, *families = name.split("+")
     remaining = tuple(family for family in families if not is_vanished(family, prior_std))
@@ -247,7 +255,8 @@ def is_vanished(family: str, prior_std: Mapping[str, float]) -> bool:
 
     Args:
         family: Name of the family.
-        prior_std: As of a `Candidate`; a family that is missing has not vanished.
+        prior_std: Estimated standard deviation of each family's errors, in its unit, as of a `Candidate`; a family that
+            is missing has not vanished.
     """
     limit = _VANISHED * family_of(family).prior
     return prior_std.get(family, np.inf) <= limit

@@ -69,6 +69,7 @@ def cross_validation(
 
     Raises:
         MeasurementError: All rows are of one pose, or the others are too few for a fit.
+        SolverError: The residual of a fit without a fold is not finite at its start.
     """
     rows = fitted.estimate.problem.rows
     folds = Folds.of_task(fitted.task, rows)
@@ -91,7 +92,8 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     Args:
         task: The fit of the calibrated robot, which says what is estimated.
         rows: The N rows that were fitted.
-        outliers: True for the rows that have no part in registrations and in the errors without outliers, shape (N,).
+        outliers: True for the rows that have no part in the errors without outliers, shape (N,), nor in registrations,
+            unless they are more than half of a frame's.
 
     Returns:
         Residuals of the N rows, measured minus predicted by the nominal robot, shape (N, D), in the units of the rows'
@@ -120,11 +122,14 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     Args:
         fitted: Fit to N rows.
         outliers: True for the rows to leave out of the errors without outliers, shape (N,); None: those that the fit
-            flagged.
+            flagged. Fits use them all the same, at their weights.
 
     Returns:
         Residuals of the N rows, measured minus predicted without their fold, shape (N, D), in the units of the rows'
         channels, and their errors.
+
+    Raises:
+        MeasurementError: All rows are of one pose.
     """
     estimate = fitted.estimate
     problem = estimate.problem
@@ -191,9 +196,10 @@ def held_out_residuals_linear(
         outliers: Rows that have no part in a registration, shape (N,).
 
     Returns:
-        Residuals, shape (n, D), in the units of the rows' channels, by the fold's index from 0. Folds that are not in
-        it must be fitted from the beginning: too few rows are left, a parameter would exceed its bounds, or the robot
-        is not linear that far.
+        Residuals of the fold's n rows, measured minus predicted by the robot itself, shape (n, D), in the units of the
+        rows' channels, by the fold's index from 0. Folds that are not in it must be fitted from the beginning: too few
+        rows are left, a parameter would exceed its bounds, or the robot is not linear that far. It is empty if a
+        parameter of the fit is held at a bound, or its solver has no weights and priors.
     """
     estimate = fitted.estimate
     if not fitted.task.has_weights_and_priors or estimate.at_bound:
@@ -233,7 +239,10 @@ def held_out_residuals_linear(
 
 
 def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
-    """Return whether the rows outside of a fold, (N,), are enough for the parameters and frames, and of each kind."""
+    """Return whether the rows outside of a fold, (N,), are enough for all parameters and each frame, and of every kind.
+
+    Frames that only the fold sees do not count.
+    """
     rows = fitted.estimate.problem.rows
     kept = rows.used & ~mask[:, None]
     scalars = np.sum(kept, axis=1)

@@ -51,9 +51,14 @@ class Folds:
         """Divide rows into folds: whole stations if at least three are given, else single poses, or tenths of many.
 
         Args:
-            blocks: Number of the block of each row, shape (N,), see `Rows`. Rows of one block stay together.
+            blocks: Number of the block of each row, shape (N,). Rows of one block (one pose, or the two of a pair) stay
+                together.
             stations: Number of the station of each row, shape (N,); None: stations are not held out whole.
-            measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does.
+            measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does. It
+                decides on the method's name alone.
+
+        Returns:
+            The folds; a single one if all rows are of one block. Of very many stations several are held out together.
         """
         if stations is not None and len(np.unique(stations)) >= _FEWEST_STATIONS:
             numbers = np.unique(stations)
@@ -162,7 +167,8 @@ def held_out_residual(fitted: Fitted, rows: Rows, held_out: Mask, outliers: Mask
         outliers: True for the rows that have no part in a registration, shape (N,).
 
     Returns:
-        Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels.
+        Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels; frames and
+        targets that only they see are registered to them first.
     """
     samples = rows.samples.select(held_out)
     T_base_tip = fitted.tip_poses(samples)
@@ -186,7 +192,8 @@ def residual_after_registration(
         rows: The N rows of all folds.
         held_out: True for the n rows to predict, shape (N,).
         used: True for the rows from which frames and targets were estimated, shape (N,).
-        outliers: True for the rows that have no part in the registration, shape (N,).
+        outliers: True for the rows that have no part in the registration, shape (N,), unless they are more than half of
+            a frame's.
 
     Returns:
         Measured minus predicted at the held-out rows, shape (n, D), in the units of the rows' channels.

@@ -43,7 +43,10 @@ def explains_more_rows(reference: Fitted, fitted: Fitted) -> bool:
 
 
 def _held_out_rms(fitted: Fitted, outliers: Mask) -> float:
-    """Return the rms error of a fit on held-out rows of its linearised problem, with some rows, (N,), set aside."""
+    """Return the rms error of a fit on held-out rows of its linearised problem, without some outliers, True in (N,).
+
+    It is in the first unit measured: [m] if any length was.
+    """
     return held_out_rms(linear_cross_validation(fitted, outliers))
 
 
@@ -85,7 +88,8 @@ def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
         rows: Rows to fit, with the loads on the joints.
 
     Returns:
-        The fit, with its own weights, of the model such as ``"dh+compliance+gain"``.
+        The fit, with its own weights, of the model such as ``"dh+compliance+gain"``; names of parameters in the cell
+        that this lacks are passed over.
     """
     families = determinable_families(fitted.task, rows)
     model = model_name(str(fitted.task.model), families)
@@ -114,6 +118,10 @@ def compare_weights(fitted: Fitted) -> Robustness:
 
     Args:
         fitted: Fit to the rows that are compared.
+
+    Returns:
+        How far predictions move (where no row tells where the base stands, apart from a motion as one body), and the
+        held-out errors of both fits at the rows that ``fitted`` did not flag; without rows if all are of one pose.
     """
     rows = fitted.estimate.problem.rows
     task = replace(fitted.task, robust=not fitted.task.robust)

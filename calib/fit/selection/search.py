@@ -45,16 +45,18 @@ _FEWEST_POSES = 16
 def preferred_geometry(candidates: Sequence[Candidate], errors: Sequence[Array]) -> str:
     """Return the name of the candidate with the highest evidence that held-out poses do not contradict.
 
-    They do if the mean error of another one is smaller by `CLEARLY`, and that beyond chance, for which strong evidence
-    against the other one asks for a smaller p-value.
+    They do if the mean error of another one is smaller by the share `CLEARLY`, and that beyond chance: by the p-value
+    of the improvement over the poses, which has to be smaller if there is strong evidence against the other one. With
+    few poses (`_FEWEST_POSES`) the evidence decides alone.
 
     Args:
         candidates: One or more models of the same rows.
-        errors: Of each candidate the held-out error of each pose, shape (poses,), see `pose_errors`.
+        errors: Of each candidate the held-out error of each pose, in standard deviations, shape (poses,), see
+            `pose_errors`.
     """
 
     def contradicts(other: int, best: int) -> bool:
-        """True if held-out poses prefer another candidate to the best so far, clearly and beyond chance."""
+        """True if held-out poses prefer another candidate, by index, to the best so far, clearly and beyond chance."""
         if not np.mean(errors[other]) < (1.0 - CLEARLY) * np.mean(errors[best]):
             return False
         strong = candidates[best].evidence - candidates[other].evidence > _STRONG
@@ -81,7 +83,8 @@ def pose_errors(validation: CrossValidation, scales: Array, kept: Mask) -> Array
         kept: True for the rows that count, shape (N,).
 
     Returns:
-        Errors in standard deviations, shape (poses,), in the order of the poses' numbers.
+        Errors in standard deviations, shape (poses,), in the order of the poses' numbers; poses of which no row counts
+        are left out.
     """
     whitened = validation.residual / scales
     squares = np.sum(whitened[kept] ** 2, axis=1)
@@ -97,7 +100,8 @@ def p_value_of_improvement(improvements: Array) -> float:
             above 0 where the second is better.
 
     Returns:
-        Probability of so large a mean, or a larger one, if neither model is better; 1 for fewer than two poses.
+        Probability of so large a mean, or a larger one, if neither model is better; 1 for fewer than two poses. If all
+        improvements are equal, 0 if they are above 0, else 1.
     """
     count = len(improvements)
     if count < 2:
@@ -130,6 +134,8 @@ class Search:
     def highest_evidence(self, start: str) -> str:
         """Return the name of a model that no neighbour and no geometry exceeds in evidence.
 
+        Neighbours have one family more, less or exchanged, or another geometry. Models are fitted as they are needed.
+
         Args:
             start: Name of the model to begin with.
         """
@@ -140,7 +146,7 @@ class Search:
         return self._climb(geometry)
 
     def best_geometry(self) -> str:
-        """Return the name of the geometry for the URDF, see `preferred_geometry`.
+        """Return the name of the geometry for the URDF, of those for which the rows are enough: `preferred_geometry`.
 
         Without priors the evidence already is that of held-out errors, and decides alone.
         """
@@ -181,7 +187,10 @@ class Search:
         return self.tried[name].evidence if self._is_fitted(name) else -np.inf
 
     def _climb(self, start: str) -> str:
-        """Return the model reached from a start by moving to the best neighbour as long as that has more evidence."""
+        """Return the name of the model reached by moving to the neighbour of the highest evidence while that is higher.
+
+        Exchanges of one family for another are tried only where no other neighbour has more evidence.
+        """
         best = start
         while True:
             geometry, *families = best.split("+")
@@ -195,7 +204,7 @@ class Search:
             best = neighbour
 
     def _swaps(self, name: str) -> list[str]:
-        """List the models with one family in place of another.
+        """List the names of the models that have one of a model's families replaced by another.
 
         The likelihood is maximised over the prior standard deviations, so a family that vanishes beside all of those
         of the model cannot replace one.

@@ -59,9 +59,13 @@ def select(task: Task, rows: Rows) -> Selection:
         task: The fit; its model does not count.
         rows: Rows to fit.
 
+    Returns:
+        The chosen models, all candidates, and the fit of the non-geometric model, or of the geometry if there is none.
+
     Raises:
         ModelError: The cell names a parameter that no model has.
-        MeasurementError: Too few rows.
+        MeasurementError: Too few rows, or rows of one pose only.
+        SolverError: The residual of a fit is not finite at its start.
     """
     check_parameter_names(task)
     some_rows = rows.select(rows.evenly(_CHOSEN_BY))
@@ -118,7 +122,8 @@ def with_known_points(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Row
         rows: N rows.
 
     Returns:
-        The same task and rows if nothing of single points is estimated.
+        The task without these internals among the unknowns, and the rows with them as estimated; the same task and rows
+        if nothing of single points is estimated.
     """
     estimated = fitted.kinematics.internals(fitted.estimate.x, rows.samples)
     if estimated is None or rows.samples.internals is None:

@@ -81,7 +81,7 @@ class SizeGauge:
 
 
 def measures_length(rows: Rows, distances: tuple[KnownDistance, ...]) -> bool:
-    """Return whether measurements compare the arm with a unit of length; else only its shape can be found.
+    """Return whether any measurement compares the arm with a unit of length; else only its shape can be found.
 
     Points and distances compare it, and known distances between frames; rows in sockets and on planes do not.
     """
@@ -106,7 +106,8 @@ def find_size_gauge(
         residual: shape (N, D), measured minus predicted at x = 0, in the same units.
 
     Returns:
-        None if the parameters cannot represent growth, or the rows do see it, as with a known target or frame.
+        The growth and what is held; None if the parameters cannot represent growth, or the rows do see it, as with a
+        known target or frame.
     """
     model = kinematics.model
     lengths = model.of_robot & (np.array(model.units) == "m")

@@ -37,7 +37,10 @@ _SETTLED = 0.1
 
 
 def with_joint_errors(rows: Rows, kinematics: Kinematics) -> Rows:
-    """Return rows with what the errors of joints do to poses that have a covariance; themselves without such rows."""
+    """Return rows with ``by_joints`` set, (N, 6, 6) [m^2, m, 1]; themselves if none has a covariance.
+
+    It is J_q J_q^T, what independent errors of the joints that turn, of a radian each, do to the target's pose.
+    """
     if not np.any(rows.correlated):
         return rows
     J = twists_of_joints(kinematics, rows.samples)
@@ -93,8 +96,9 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
         estimate: The estimate of a fit.
 
     Returns:
-        What `compare_with_equal` gives, and what it would give if residuals were as the covariances and a usual robot
-        say; None if no pose has a covariance, or too few degrees of freedom are left.
+        Log-likelihood with the stated covariances less that with equal, uncorrelated errors in all rows
+        (`compare_with_equal`), and what it would be if residuals were as the covariances and a usual robot say; None if
+        no pose that counts has a covariance, or too few degrees of freedom are left.
     """
     evidence = _evidence(estimate)
     if evidence is None:
@@ -108,10 +112,11 @@ def covariance_support(estimate: Estimate) -> tuple[float, float] | None:
 
 
 def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
-    """Return C [m^2, m rad, rad^2], J_q J_q^T [m^2, m, 1] and S, as C, (n, 6, 6) each, and weights, (n,), of n poses.
+    """Return C [m^2, m rad, rad^2], J_q J_q^T [m^2, m, 1] and S [as C], (n, 6, 6) each, and weights, (n,), of n poses.
 
-    They are those of `calib.numerics.correlated_noise`, of the poses with a covariance that the fit used and others
-    check; None if there are none, or too few degrees of freedom are left.
+    C is the stated covariance, J_q J_q^T what errors of the joints do, and S the product r r^T of the residual plus the
+    covariance of the prediction; see `calib.numerics.correlated_noise`. The poses have a covariance and a weight above
+    0, and are not sole postures; None if there are none, or too few degrees of freedom are left.
     """
     problem = estimate.problem
     rows = problem.rows

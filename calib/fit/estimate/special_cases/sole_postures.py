@@ -81,6 +81,7 @@ _SETTLED = 1e-9
 def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
     """Return the problem with the rows of sole postures marked, unless they are already.
 
+    A sole posture is a pose that alone determines a direction of the parameters, so that the others predict it badly.
     The standard deviation of a pose's prediction from the other rows, over the noise, is sqrt(k / (1 - k)) with the
     pose's leverage k: the largest eigenvalue of A C A^T, where A is the Jacobian of its scalars and C the covariance of
     the parameters by all rows, at the first stage. Rows whose frame or target few rows of other poses observe are not
@@ -123,7 +124,7 @@ def mark_sole_postures(problem: Problem, prior: PriorTerms) -> Problem:
 
 
 def add_sole_postures(estimate: Estimate, problem: Problem, stage: Stage) -> Estimate:
-    """Update an estimate by the rows of sole postures, which had no part in it.
+    """Update an estimate by the rows of sole postures, which had no part in it: poses that no other row can check.
 
     Such a row is weighted by its score: how far it lies from what wide priors predict, along the directions in which
     the other rows do not predict it.
@@ -177,7 +178,7 @@ def _seen_by_others(rows: Rows, block: Integers) -> Mask:
 
 
 def _with_wide_priors(stage: Stage) -> Stage:
-    """Return a stage with priors so many times (`_WIDE`) as wide as given, or as estimated if that is wider still."""
+    """Return a stage with the prior std of families `_WIDE` times as given, or as estimated if that is wider still."""
     start = np.array(stage.prior.start, dtype=np.float64)
     return replace(stage, prior_std=np.maximum(stage.prior_std, _WIDE * start))
 

@@ -144,7 +144,10 @@ class Moments:
             free[1 + int(np.argmin(theta[1:]))] = False
 
     def _left_side(self, inverse: _InverseCovariance) -> Array:
-        """The matrix tr(K^-1 K_i K^-1 K_j), (4, 4), of the equations for theta, summed over the stops."""
+        """The matrix tr(K^-1 K_i K^-1 K_j), (4, 4), of the equations for theta, summed over the stops.
+
+        K_0 is the identity, and K_i = J_i J_i^T of translations, rotations and joints.
+        """
         HM = inverse.H @ self.M
         MT = self.M @ inverse.T
         TMT = transposed(inverse.T) @ self.M @ inverse.T
@@ -184,7 +187,10 @@ def unshared(rho: Array) -> float:
 
 
 def root_shares(rho: Array, directions: int) -> Array:
-    """Return the square root of the share, rho (3,), of each of d directions of a body's displacement, shape (d,)."""
+    """Return the root of the share of each of d directions of a body's displacement, shape (d,).
+
+    The shares rho, (3,), are those of its three translations, its three rotations, and the joints, d - 6 directions.
+    """
     shares = np.zeros(directions)
     for part, share in zip(PARTS, rho, strict=True):
         shares[part] = share

@@ -87,7 +87,8 @@ class Stops:
     def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
         """Find the stops of a table at which several targets were measured.
 
-        The rows of a stop are of one pose, one measurement frame and one kind, which measures a position.
+        The rows of a stop are of one pose, one measurement frame and one kind, which measures positions, or points in
+        images.
 
         Args:
             kinematics: The nominal robot under its error model, frames and targets as registered; it gives the pose of
@@ -144,6 +145,9 @@ class Stops:
 
         Args:
             count: shape (N,), how many times the stop of each of the table's rows was drawn.
+
+        Returns:
+            The same stops with other derivatives J, which are 0 for those not drawn.
         """
         often = count[self.rows, None, None]
         shrunk = self.J / np.sqrt(np.maximum(often, 1))
@@ -267,6 +271,7 @@ class Stops:
     ) -> tuple[Array, Array, float]:
         """The means of M cells in one channel, (M, D, q), the same times K^-1/2, and log det K over all stops.
 
+        A cell holds the repeats of one target at one stop; K is the covariance of a stop's means in units of noise.
         X, (n, D, q), are columns at the n rows of stops, in units of their noise, of the channel of index c, weights
         are of the table's rows, (N,), and rho, (3,), are the shares of the channel's variance; see `_means`.
         """
@@ -284,9 +289,10 @@ class Stops:
     def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
         """Average one channel's scalars over M cells: columns X, (M, D, q), J, (M, D, d), and their number, (M, D).
 
-        A mean is sum w X / sqrt(sum w) over the repeats, with the weights w, (N,), of the table's rows, so that it has
-        the variance of one row of weight 1; it is 0 if all these weights are 0. The number is sum w, but at most 1. All
-        are zero for scalars of other channels. ``X``, (n, D, q), are of these n rows.
+        A cell holds the repeats of one target at one stop. A mean is sum w X / sqrt(sum w) over the repeats, with the
+        weights w, (N,), of the table's rows, so that it has the variance of one row of weight 1; it is 0 if all these
+        weights are 0. The number is sum w, but at most 1. All are zero for scalars of other channels. ``X``, (n, D, q),
+        are of these n rows.
         """
         w = weights[self.rows, None]
         of_channel = self.channel == c
@@ -300,7 +306,7 @@ class Stops:
         return means[..., :columns], means[..., columns:], count
 
     def _sums(self, values: Array) -> Array:
-        """Sum values of M cells, (M, ...), over the cells of each stop, (S, ...)."""
+        """Sum values of M cells, (M, ...), which are targets at a stop, over those of each stop, (S, ...)."""
         return np.asarray(np.add.reduceat(values, self._first_cell))
 
     def _rows_of(self, columns: Array) -> Array:
@@ -329,7 +335,8 @@ class Stops:
 def _number_stops(rows: Rows) -> Integers | None:
     """Number the stop of each row, (N,), not all numbers being used; None if no stop has several targets.
 
-    The number is -1 for rows of a stop with one target, or of a kind that measures no position.
+    The number is -1 for rows of a stop with one target, or of a kind that measures neither positions nor points in
+    images.
     """
     measured_point = rows.poses  # of one frame, target and corner at one pose
     if not len(rows) or len(np.unique(measured_point)) == len(np.unique(rows.blocks)):
