@@ -223,7 +223,7 @@ class Evidence:
         """Share of the nominal robot's rms error on held-out rows that remains, noise subtracted from both squares.
 
         Outliers do not count. The mean of M squared scalars of noise is uncertain by sqrt(2 / M), which is subtracted
-        from the calibrated robot's too. Above 1 if the error grows.
+        from the calibrated robot's too. Above 1 only if the error grows.
         """
         before, after = self._mean_square(self.nominal), self._mean_square(self.calibrated)
         noise = self._noise_square
@@ -284,9 +284,9 @@ class Evidence:
 
     @cached_property
     def accidents(self) -> bool:
-        """True if many rows are flagged, no farther off than with the nominal robot, and the error of all rows falls.
+        """True if many rows are flagged, hardly farther off than before, and the error of all rows falls.
 
-        Errors are those on held-out rows; the fall is beyond chance, outliers included.
+        Errors are those on held-out rows, before: by the nominal robot. The fall is beyond chance, outliers included.
         """
         if not self.many_flagged:
             return False

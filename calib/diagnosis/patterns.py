@@ -421,12 +421,12 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
     """Find an orthonormal basis of the numerical range of A / sizes.
 
     Args:
-        A: shape (M, k).
-        sizes: Sizes of its columns, shape (k,); None for their norms.
-        cut: Directions with a smaller singular value are not in the range.
+        A: Matrix, shape (M, k).
+        sizes: Sizes by which its columns are divided, shape (k,); None for their norms.
+        cut: Directions whose singular value, of A / sizes, is not above this are not in the range.
 
     Returns:
-        The basis, shape (M, rank).
+        The basis, shape (M, rank); rank 0 if the matrix is empty or zero.
     """
     if 0 in A.shape:
         return np.zeros((len(A), 0))

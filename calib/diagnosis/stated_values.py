@@ -220,7 +220,7 @@ class Scale:
 def instrument_scale(fitted: Fitted) -> Scale | None:
     """Estimate the share by which measured lengths are too long, jointly with the arm's parameters.
 
-    Rows that measure no length are free of the scale error; known distances between sockets may have it.
+    Rows that measure a length have the scale error, and so have the known distances between sockets; other rows do not.
 
     Args:
         fitted: A fit with prior standard deviations from the data.
@@ -267,7 +267,7 @@ def _wrong_internals(fitted: Fitted) -> Iterator[Reason]:
     """Yield a reason for each stated size, of a focal length or a board, that seems to differ from what was stated.
 
     It has the share, which is the actual value over the stated one, less 1, its standard deviation, and whether the
-    size was stated as exact. All focal lengths of a camera, or a board's scale along x and y, have the same share.
+    fit took the size as exact. All focal lengths of a camera, or a board's scale along x and y, have the same share.
     Sizes whose prior is so wide that nothing was stated are left out.
     """
     rows, setup = fitted.estimate.problem.rows, fitted.setup

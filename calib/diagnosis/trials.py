@@ -82,8 +82,9 @@ def poses_of_images(
         table: Rows of any kind.
 
     Returns:
-        The poses, with the numbers of the first corner of each view, and the cell with cameras as frames that are
-        estimated unless they are given; None unless all rows are corners in images.
+        The poses of the board in the camera, with the row number and the joint values of the first corner of each view,
+        and the cell with cameras as measurement frames that are estimated unless they are given; None if the table is
+        empty or some row is not a corner in an image.
     """
     if not len(table) or not np.all(table.is_image):
         return None
@@ -114,11 +115,11 @@ def correct_joints(robot: Robot, q: Array) -> Iterator[Correction]:
     """Shift zeros of joints, swap their columns, couple their readings, and scale them from another unit.
 
     Args:
-        robot: The robot.
-        q: Joint values of the rows, shape (N, m) [rad] or [m].
+        robot: The robot, with its m measured joints and the coupling of their readings.
+        q: Readings of the joints in the rows, shape (N, m) [rad] or [m].
 
     Yields:
-        Joint values, shape (N, m), in which one mistake is undone; the mistake's code; and the values of its reason.
+        Readings, shape (N, m), in which one mistake is undone; the mistake's code; and the values of its reason.
     """
     names, count = robot.joint_names, len(robot.inputs)
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])

@@ -134,7 +134,8 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
         source: Name of the table's file, for the message; may be empty.
 
     Raises:
-        MeasurementError: They are all the same; the text names the file and the place.
+        MeasurementError: There are two or more, all the same, and the joint values move the tip by more than would go
+            unnoticed; the text names the file and the place [mm].
     """
     chosen = rows.where(lambda kind: kind.position)
     if np.sum(chosen) < 2:
@@ -419,8 +420,9 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
 def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int], ...]:
     """List how many joints have their sign reversed at a time, for one search after the other.
 
-    The next search is made if none before has explained the rows. An unknown frame makes a trial a hundred times as
-    expensive: then two joints at most, and last.
+    The next search is made if none before has explained the rows. Without an unknown frame there is one search, of any
+    number of joints, or of one at a time if the robot has many. An unknown frame makes a trial a hundred times as
+    expensive: then one joint, and two in a second search.
     """
     if any(setup.unknown):
         return (1,), (2,)

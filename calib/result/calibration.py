@@ -164,6 +164,7 @@ class Calibration(Value):
             The path.
 
         Raises:
+            ArgumentError: The path is of another type.
             VerdictError: The verdict is ``do not use``, and ``accept`` is not given.
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or the URDF has another
                 link ``calib_target``.
@@ -189,6 +190,7 @@ class Calibration(Value):
             The path.
 
         Raises:
+            ArgumentError: The path is of another type.
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
@@ -206,6 +208,7 @@ class Calibration(Value):
             The path.
 
         Raises:
+            ArgumentError: The path is of another type.
             ModelError: The result was read from a file, which does not hold the measurements.
             CalibError: Matplotlib is missing, which draws the figures: ``pip install 'robot-calib[report]'``.
             FileError: The file exists, or cannot be written.
@@ -317,8 +320,8 @@ class Calibration(Value):
             non_geometric: True to use the model of the field ``non_geometric``, if there is one; False: the geometry.
 
         Returns:
-            The verdict on the non-geometric model if it is to be used and has one, else that on the geometry; None if
-            there is none.
+            The verdict on the non-geometric model if that is asked for and has one, else that on the geometry; None if
+            there is none, as without cross-validation.
         """
         return self.part(non_geometric=non_geometric).verdict or self.verdict
 

@@ -100,7 +100,7 @@ def _prior_std_key(family: str) -> str:
 
 
 def _read_prior_std(table: Json) -> dict[str, float]:
-    """Return prior standard deviations by the family's name, from a table by `_prior_std_key`; unknown keys are left."""
+    """Return prior standard deviations by the family's name, from a table by `_prior_std_key`; no other keys."""
     keys = {family: _prior_std_key(family) for family in FAMILIES}
     return {family: float(table[key]) for family, key in keys.items() if key in table}
 

@@ -140,8 +140,8 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
     """Choose models if the task leaves it open, and fit them: the geometry, the non-geometric model, the candidates.
 
     The non-geometric model is None if the task's or the chosen model has no such errors; candidates are empty if the
-    model was named. The geometry has its own row weights or those of the reference fit, whichever predict held-out rows
-    better: of the non-geometric model, or of the search if that chose none.
+    model was named or the solver has no priors. The geometry has its own row weights or those of the reference fit,
+    whichever predict held-out rows better: of the non-geometric model, or of the search if that chose none.
     """
     if task.model == AUTO and not task.has_weights_and_priors:
         return fit(replace(task, model="dh", allow_absent=True), rows), None, ()
