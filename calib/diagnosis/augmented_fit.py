@@ -135,7 +135,8 @@ def estimate_jointly(
 def _augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -> LinearProblem:
     """Linearise the problem of a fit at its solution, with k additional unknowns, the last of p + k parameters.
 
-    They are zero there; arguments are those of `estimate_jointly`.
+    They are zero there. ``columns``, shape (N, D, k), are the derivatives of the predicted scalars by them, in the
+    units of the rows' channels; ``of_distances``, shape (K, k), those of the predicted known distances [m], None: zero.
     """
     problem = fitted.estimate.problem
     linear = problem.linear(fitted.estimate.x)

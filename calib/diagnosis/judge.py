@@ -131,7 +131,10 @@ def _against(evidence: Evidence) -> list[Reason]:
 
 
 def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
-    """List the reasons for care, doubts about given values first; ``against`` are those not to use it at all."""
+    """List the reasons for care, doubts about given values first; ``against`` are those not to use it at all.
+
+    If there are any of these, most doubts about the gain fall away.
+    """
     usable = not against
     before, after, validation = evidence.before, evidence.after, evidence.validation
     much_remains = not evidence.unproven and evidence.remains_held_out > REMAINS
@@ -174,7 +177,7 @@ def _doubts(evidence: Evidence, role: Role) -> list[Reason]:
 
 
 def _role(doubt: Reason, evidence: Evidence) -> Role:
-    """Return the role of a finding in the verdict on this evidence: that of its code, or one by its values."""
+    """Return the role of a finding (a doubt besides errors) in the verdict: that of its code, or one by its values."""
     why, values = doubt.why, doubt.values
     # A focal length or a board that is far off is another camera, resolution or board, or a square not measured.
     if why in _OTHER_SHARE and abs(float(values["share"])) > _OTHER_SHARE[why]:

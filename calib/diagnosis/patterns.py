@@ -280,6 +280,7 @@ def _combined(stack: Stack) -> Callable[[Array], Explained]:
     between, within = _between(stack), _within(stack)
 
     def test(Z: Array) -> Explained:
+        """Test whitened regressors (M, k) by F between poses and within repeats, and combine the p-values."""
         tests = between(Z), within(Z)
         valid = [explained for explained in tests if explained.columns]
         if not valid:
@@ -295,7 +296,10 @@ def _combined(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _between(stack: Stack) -> Callable[[Array], Explained]:
-    """Return the F test of any additional regressors (M, k) on the means of repeats of a pose."""
+    """Return the F test of any additional regressors (M, k) on the means of repeats of a pose.
+
+    The regressors of the fit and a constant of each component are there already. Components are made equally noisy.
+    """
     cells = stack.cells
     A = _means(cells, np.column_stack([stack.A, stack.ones]))
     r = _means(cells, stack.r)
@@ -304,6 +308,7 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
     base = range_of(A * even[:, None])
 
     def test(Z: Array) -> Explained:
+        """Test whitened regressors (M, k) by F, on the means of repeats of each pose and component."""
         Z = _means(cells, Z) * even[:, None]
         return f_test(base, r * even, Z, norms_of(Z))
 
@@ -334,6 +339,7 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
     base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
 
     def test(Z: Array) -> Explained:
+        """Test whitened regressors (M, k) by F, on the differences from the mean of repeats."""
         Z = Z * even[:, None]
         return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
 

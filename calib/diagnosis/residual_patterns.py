@@ -266,7 +266,10 @@ def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
 
 
 def _grid(q: Array, *, slides: bool) -> float:
-    """Find the largest step of which a joint's values (N,), [rad] or [m], are multiples; 0 if there is none."""
+    """Find the largest usual step of which a joint's values (N,), [rad] or [m], are multiples, in their unit.
+
+    0 if there is none, or if the joint has too few different values. ``slides`` is True for a prismatic joint.
+    """
     if len(np.unique(q)) < _SOME_VALUES:
         return 0.0
     steps = _STEPS / 10.0

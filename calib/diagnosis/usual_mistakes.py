@@ -273,9 +273,11 @@ def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
 
 
 def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | None:
-    """Explain orientations that make no sense as given, though the positions are plausible; None if nothing does.
+    """Explain orientations that make no sense as given, though the positions are plausible.
 
-    A target on the last joint's axis stays in place whatever that joint's sign and zero are.
+    The mistake has the rms errors [rad] as given and with it undone. None if the orientations are plausible, if some
+    rows have none, or if no mistake lowers the error far. A target on the last joint's axis stays in place whatever
+    that joint's sign and zero are.
     """
     if not np.all(poses.where(lambda kind: kind.orientation)):
         return None
@@ -501,7 +503,10 @@ def doubtful_senses(robot: Robot, cell: Cell, table: Measurements) -> Iterator[R
 
 
 def _errors_with_free_zeros(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float] | None:
-    """Return median errors [m], [rad] of poses after a fit of frames, targets and joint zeros; None if it fails."""
+    """Return median errors of positions [m] and orientations [rad] after a fit of frames, targets and joint zeros.
+
+    The rows are poses. Both are above 0; None if the fit fails.
+    """
     cell = Cell(priors=Priors("given"))
     try:
         fitted = fit(Task(robot, cell, setup, "zeros"), rows)

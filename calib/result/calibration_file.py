@@ -142,7 +142,10 @@ def _boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
 
 
 def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
-    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it."""
+    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it.
+
+    A key with a default may be missing; any other raises KeyError.
+    """
     boards = {}
     for row in table:
         # A key that came later, with a default, is missing in older files.

@@ -167,9 +167,10 @@ def noise_doubts(
 
 
 def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
-    """Name the first row of each posture that no other row can check, and the joint that it alone moves.
+    """Yield one reason, if any posture cannot be checked by other rows: its first row's number, and a joint, for each.
 
-    It is the joint whose value there is farthest from all other rows', as a share of its range.
+    ``rows`` are those that were fitted. The joint is the one that the posture alone moves: whose value there is
+    farthest from all other rows', as a share of its range.
     """
     robot, m = result.nominal, result.fit.measurements
     numbers = np.array(m.rows)[m.estimation]

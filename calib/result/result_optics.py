@@ -147,7 +147,10 @@ def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mappi
 
 
 def _estimated_numbers(model: FittedModel, family: str) -> Iterator[tuple[int, Parameter, int]]:
-    """Yield index, parameter and column of the optics of each number of cameras, or of boards, that was estimated."""
+    """Yield each estimated number of cameras, or of boards, by the family: index in x, parameter, column of the optics.
+
+    Columns are those of `calib.camera.optics`.
+    """
     for k, parameter in model.kinematics.model.internals:
         if parameter.family == family:
             assert parameter.internal is not None
