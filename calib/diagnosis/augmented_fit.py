@@ -49,14 +49,14 @@ class AugmentedFit:
     prior_std: Mapping[str, float]
 
     def p_value(self, freedom: float, directions: Array | None = None) -> float:
-        """Test b = 0 by F(k, freedom) of b^T C^-1 b / k.
+        """Test whether the additional unknowns b, with the covariance C, are zero, by F(k, freedom) of b^T C^-1 b / k.
 
         Args:
             freedom: Degrees of freedom of the prior standard deviations in C.
             directions: Test only b along these directions, shape (k', k); None for all of b.
 
         Returns:
-            The p-value.
+            The p-value: the probability of an F as large if these unknowns are zero.
         """
         if directions is None:
             directions = np.eye(len(self.b))
@@ -87,7 +87,8 @@ def estimate_jointly(
         held: True for the parameters that b replaces, which are held at zero, shape (p,); None for none.
 
     Returns:
-        The unknowns, and the parameters estimated with them.
+        The unknowns and their covariance, the parameters estimated with them, how far the rows rather than the priors
+        determine each of these, and the prior standard deviation of each family, estimated again.
     """
     estimate = fitted.estimate
     augmented = _augment(fitted, columns, of_distances)
@@ -134,7 +135,8 @@ def estimate_jointly(
 def _augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -> LinearProblem:
     """Linearise the problem of a fit at its solution, with k additional unknowns, the last of p + k parameters.
 
-    They are zero there; arguments are those of `estimate_jointly`.
+    They are zero there. ``columns``, shape (N, D, k), are the derivatives of the predicted scalars by them, in the
+    units of the rows' channels; ``of_distances``, shape (K, k), those of the predicted known distances [m], None: zero.
     """
     problem = fitted.estimate.problem
     linear = problem.linear(fitted.estimate.x)
@@ -155,19 +157,20 @@ def _augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) 
 
 
 def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
-    """Cross-validate additional unknowns on blocks of consecutive rows.
+    """Cross-validate additional unknowns, which have no prior, on blocks of consecutive rows.
 
-    Noise, prior standard deviations and weights stay as they are. Only rows count whose frame and target other blocks
-    see too.
+    Noise and prior standard deviations stay those of the fit. Only rows with a weight count, and whose frame and target
+    other blocks see too.
 
     Args:
         fitted: A fit to N rows of D scalars.
         columns: Derivative of the predicted scalars by each of k unknowns, shape (N, D, k), in the units of the rows'
             channels.
-        weights: Weights of the rows, shape (N,).
+        weights: Weights of the rows in the fits without a block, shape (N,).
 
     Returns:
-        The share by which the error of held-out blocks falls with the unknowns; negative if it rises.
+        The share by which the rms error of held-out blocks falls with the unknowns; negative if it rises, 0 if it is 0
+        without them or no row counts.
     """
     linear = fitted.estimate.problem.linear(fitted.estimate.x)
     before = _error_of_blocks(fitted, linear, weights)
@@ -178,7 +181,11 @@ def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
 
 
 def _error_of_blocks(fitted: Fitted, linear: LinearProblem, weights: Array) -> float:
-    """Return the rms error of blocks of rows, each predicted by a fit to the others, in units of the noise."""
+    """Return the rms error of blocks of rows, each predicted by a fit to the others, over the noise (no unit).
+
+    ``linear`` is the problem of the fit, perhaps with additional unknowns; ``weights``, shape (N,), are those of the
+    rows. Rows without weight, or whose frame or target no other block sees, do not count; 0 if none counts.
+    """
     rows = fitted.estimate.problem.rows
     block = np.arange(len(rows)) * _BLOCKS // len(rows)
     masks = block == np.unique(block)[:, None]
@@ -199,8 +206,9 @@ def _residuals_without_blocks(
 ) -> Array:
     """Return the residuals of fits without one block of rows each, at noise and priors of the fit to all rows.
 
-    ``linear`` is the problem of the fit, perhaps with additional unknowns, ``masks``, shape (B, N), are the rows of
-    each block. The residuals of all rows, over the noise of each scalar, are of the shape (B, N, D).
+    ``linear`` is the problem of the fit, perhaps with additional unknowns, which have no prior; ``weights``, shape
+    (N,), are those of the rows, and ``masks``, shape (B, N), the rows of each block. The residuals of all rows, over
+    the noise of each scalar, are of the shape (B, N, D).
     """
     problem = fitted.estimate.problem
     additional = len(linear.x) - problem.size

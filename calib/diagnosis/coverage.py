@@ -91,12 +91,13 @@ def outside(
 
     Args:
         measured: Joint values of N fitted rows, shape (N, m) [rad or m].
-        queried: Joint values of K rows, shape (K, m).
-        names: Names of the joints.
+        queried: Joint values of K rows, shape (K, m) [rad or m].
+        names: Names of the m joints.
         types: Their URDF types: ``"revolute"``, ``"continuous"`` or ``"prismatic"``.
 
     Returns:
-        The rows outside, in their order.
+        The queried rows outside, in their order: each its index, from 0, and the joints outside, with their distances
+        from the range [rad or m]; empty if there are no measured rows.
     """
     if not len(measured) or not len(queried):
         return ()
@@ -145,7 +146,8 @@ def extrapolation(fitted: Fitted) -> float:
     """Compare errors of extrapolated predictions with those expected by a fit's covariance.
 
     Rows at one end of a joint's values are predicted by a linear fit to the others, for both ends of each joint: beyond
-    their noise, |r|^2 - sigma^2, they should be off by tr(A C A^T). What the model lacks does not average out over the
+    their noise, |r|^2 - sigma^2, they should be off by tr(A C A^T), with the residuals r, the derivatives A of the rows
+    by the parameters, and the covariance C of the fit to the others. What the model lacks does not average out over the
     rows as noise does, so with many rows the covariance includes too little of it.
 
     Args:
@@ -203,7 +205,7 @@ def still_joints(robot: Robot, rows: Rows) -> Iterator[Reason]:
         rows: The rows that were fitted.
 
     Yields:
-        One reason with the joints' names; none if all moved.
+        One reason `Why.JOINTS_STILL` with the joints' names; none if all moved.
     """
     still = np.flatnonzero(hardly_moved(robot, rows))
     if len(still):
@@ -235,8 +237,9 @@ def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
 
     Yields:
         At most one reason: ``spread``, the rms distance of the tips from their mean over that in the whole workspace,
-        and of each narrow joint, the narrowest first, its name, the share of its range that it used, its lowest and
-        highest value, [rad] or [m], and whether it slides.
+        and of each joint that used little of its range (if none did, of the one that used least), the narrowest first,
+        its name, the share of its range that it used, its lowest and highest value, [rad] or [m], and whether it
+        slides. None if no joint moved.
     """
     robot, rows = fitted.task.robot, fitted.estimate.problem.rows
     q = rows.joints[fitted.estimate.weights > 0.0]
@@ -271,7 +274,8 @@ def spread_of(tips: Array, everywhere: Array) -> float:
         everywhere: Positions of the tip all over the workspace, shape (K, 3) [m].
 
     Returns:
-        The root mean square distance of the measured tips from their mean, over that of the others.
+        The root mean square distance of the measured tips from their mean, over that of the others; 1 if these are
+        all at one place.
     """
     possible = _variance(everywhere)
     if not possible > 0.0:
@@ -292,10 +296,11 @@ def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Arra
     Args:
         joints: Joint values of the rows, shape (N, m) [rad or m].
         ranges: Lower and upper limit of each joint, shape (m, 2); for a turning joint at most a full turn counts.
-        types: Their URDF types.
+        types: URDF types of the joints; what a ``"continuous"`` one uses is the circle without the largest gap
+            between its values.
 
     Returns:
-        The shares, 0 to 1, shape (m,); 1 of a joint without a range.
+        The shares, 0 to 1, shape (m,); 1 of a joint whose range is empty or infinite.
     """
     spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
     turning = np.array([kind != "prismatic" for kind in types])
@@ -322,7 +327,10 @@ class Views:
 
     @classmethod
     def of(cls, fitted: Fitted) -> Views:
-        """Return the views that a fit saw; some of its rows are images."""
+        """Return the n views that a fit saw: of a board's corners in one image there is one row each in the fit.
+
+        Rows of other kinds are left out; at least one is a corner in an image.
+        """
         rows = fitted.estimate.problem.rows
         images = rows.select(rows.is_image)
         T_camera_board = fitted.kinematics.poses(fitted.estimate.x, images.samples)
@@ -346,7 +354,8 @@ def doubtful_views(fitted: Fitted) -> Iterator[Reason]:
         fitted: A fit; nothing is doubted without images.
 
     Yields:
-        A reason for each.
+        A reason for each of these three: the largest tilt [rad]; how many images have few corners, and how many there
+        are; the spread of the tip's turns across their main axis [rad].
     """
     if not np.any(fitted.estimate.problem.rows.is_image):
         return
@@ -366,7 +375,7 @@ def spread_of_axes(rotations: Array) -> float:
     """Return how far rotations go about axes other than their main one.
 
     Args:
-        rotations: shape (n, 3, 3).
+        rotations: Rotation matrices, at least one, shape (n, 3, 3).
 
     Returns:
         Root mean square of their rotation vectors from a middle one, along the second of their principal axes [rad].

@@ -82,7 +82,11 @@ class ValidationErrors:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Values of a reason that compares the errors of both robots on validation rows."""
+        """Values of a reason that compares the errors of both robots on validation rows.
+
+        ``rows`` is the number of those not set aside, ``aside`` of those that are, ``whole`` the error of the
+        calibrated robot on both.
+        """
         return {
             "rows": self.after.leading.n,
             "aside": self.aside,
@@ -172,9 +176,11 @@ class Evidence:
     def _test_fall(self, *, with_outliers: bool) -> tuple[float, float]:
         """Test the fall of the error on held-out rows from the nominal to the calibrated robot by Student's t.
 
-        Returned are the mean fall over its standard error, 0 if no parameter changed, and the one-sided p-value of no
-        fall. Errors are over the noise, averaged by pose, and paired by pose. Without outliers their squares are
-        tested. With outliers the errors themselves are: a gross outlier then adds no more than its correction.
+        Returned are the mean fall over its standard error, and the one-sided p-value: the probability of such a fall if
+        the error does not fall. They are 0 and 1 if no parameter changed or the fall is rounding, the sign of the fall
+        and 1 with a single pose. Errors are over the noise (no unit), averaged by pose, and paired by pose. Without
+        outliers their squares are tested. With outliers the errors themselves are: a gross outlier then adds no more
+        than its correction.
         """
         before = self._by_pose(self.nominal, with_outliers=with_outliers)
         fall = before - self._by_pose(self.calibrated, with_outliers=with_outliers)
@@ -188,9 +194,9 @@ class Evidence:
         return gain, float(stdtr(len(fall) - 1, -gain))
 
     def _by_pose(self, validation: CrossValidation, *, with_outliers: bool) -> Array:
-        """Average over the repeats of each of K poses, shape (K,): errors of all rows, or squares without outliers.
+        """Average over the repeats of each of K poses, shape (K,): norms of all errors, or squares without outliers.
 
-        Errors are those of a cross-validation, over the noise.
+        Errors are those of a cross-validation, over the noise (no unit); rows without a measured scalar do not count.
         """
         rows = (with_outliers | ~self.outliers) & np.any(self.used, axis=1)
         _, poses = np.unique(validation.poses[rows], return_inverse=True)
@@ -214,9 +220,10 @@ class Evidence:
 
     @cached_property
     def remains_held_out(self) -> float:
-        """Share of the nominal robot's error on held-out rows that remains, noise subtracted from both.
+        """Share of the nominal robot's rms error on held-out rows that remains, noise subtracted from both squares.
 
-        The mean of M squared scalars of noise is uncertain by sqrt(2 / M), which is subtracted too.
+        Outliers do not count. The mean of M squared scalars of noise is uncertain by sqrt(2 / M), which is subtracted
+        from the calibrated robot's too. Above 1 only if the error grows.
         """
         before, after = self._mean_square(self.nominal), self._mean_square(self.calibrated)
         noise = self._noise_square
@@ -277,7 +284,10 @@ class Evidence:
 
     @cached_property
     def accidents(self) -> bool:
-        """True if many rows are flagged, as far off as with the nominal robot, and the error of all rows falls."""
+        """True if many rows are flagged, hardly farther off than before, and the error of all rows falls.
+
+        Errors are those on held-out rows, before: by the nominal robot. The fall is beyond chance, outliers included.
+        """
         if not self.many_flagged:
             return False
         before = np.sum(self._whitened(self.nominal)[self.outliers])
@@ -301,9 +311,10 @@ class Evidence:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Numbers of different poses, pairs of poses, images if any, and scalars that say something about the robot.
+        """Numbers of different ``poses``, ``pairs`` of poses, ``images`` if any, and scalars of all (``numbers``).
 
-        Repeats count once; an image counts as no more scalars than the board's pose has.
+        Repeats of a measurement count once; the corners of an image count as one pose, and as no more scalars than the
+        board's pose has.
         """
         single = np.any(self.used, axis=1) & ~self.pairs
         images = np.zeros(len(self.repeats), dtype=bool) if self.images is None else self.images

@@ -40,7 +40,8 @@ def judge(evidence: Evidence) -> Verdict:
 
     Returns:
         ``use``, ``use with care`` or ``do not use``, with the reasons: against it, for care, gains, what can be
-        improved, information.
+        improved, information. If errors are such as no arm has, the input is wrong: ``do not use``, for that reason
+        alone.
     """
     before, after, validation = evidence.before, evidence.after, evidence.validation
 
@@ -93,7 +94,11 @@ def judge(evidence: Evidence) -> Verdict:
 
 
 def _against(evidence: Evidence) -> list[Reason]:
-    """List the reasons not to use the corrected robot: the weightiest one, and failing validation rows."""
+    """List the reasons not to use the corrected robot; empty if there is none.
+
+    They are all signs of wrong input, the weightiest of the other reasons, and validation rows whose error does not
+    fall.
+    """
     unproven, at_noise_level = evidence.unproven, evidence.at_noise_level
     sufficient = evidence.noise_is_plausible and not evidence.few_for_full_model
     nothing = unproven and at_noise_level and sufficient
@@ -126,7 +131,10 @@ def _against(evidence: Evidence) -> list[Reason]:
 
 
 def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
-    """List the reasons for care, doubts about given values first; ``against`` are those not to use it at all."""
+    """List the reasons for care, doubts about given values first; ``against`` are those not to use it at all.
+
+    If there are any of these, most doubts about the gain fall away.
+    """
     usable = not against
     before, after, validation = evidence.before, evidence.after, evidence.validation
     much_remains = not evidence.unproven and evidence.remains_held_out > REMAINS
@@ -169,7 +177,7 @@ def _doubts(evidence: Evidence, role: Role) -> list[Reason]:
 
 
 def _role(doubt: Reason, evidence: Evidence) -> Role:
-    """Return the role of a finding in the verdict on this evidence: that of its code, or one by its values."""
+    """Return the role of a finding (a doubt besides errors) in the verdict: that of its code, or one by its values."""
     why, values = doubt.why, doubt.values
     # A focal length or a board that is far off is another camera, resolution or board, or a square not measured.
     if why in _OTHER_SHARE and abs(float(values["share"])) > _OTHER_SHARE[why]:
@@ -199,7 +207,7 @@ def _both(evidence: Evidence) -> dict[str, Any]:
 
 
 def _many_outliers(evidence: Evidence) -> Reason:
-    """Make the reason that many rows are flagged, with the errors that include them."""
+    """Make the reason that many rows are flagged, with both robots' errors on held-out rows that include them."""
     return Reason.of(
         Why.MANY_OUTLIERS,
         flagged=evidence.flagged,
@@ -215,14 +223,17 @@ def _over_limits(evidence: Evidence) -> dict[str, float]:
 
 
 def _has_better(evidence: Evidence) -> bool:
-    """Return whether the non-geometric model has far smaller errors on held-out rows."""
+    """Return whether the non-geometric model, if there is one, has far smaller errors on held-out rows."""
     if evidence.non_geometric is None:
         return False
     return evidence.non_geometric[1].leading.rms < _FAR_LESS * evidence.after.leading.rms
 
 
 def _better(why: Why, evidence: Evidence) -> Reason:
-    """Make a reason ``why`` with the remaining error, and that of the non-geometric model if it is far less."""
+    """Make a reason ``why`` with the errors of both robots and the share of the nominal one's that remains.
+
+    Name and errors of the non-geometric model are added if these are far smaller. All errors are of held-out rows.
+    """
     values: dict[str, Any] = {**_both(evidence), "remains": evidence.remains_held_out}
     if _has_better(evidence) and evidence.non_geometric is not None:
         model, less = evidence.non_geometric

@@ -131,7 +131,8 @@ def joint_patterns(
         directions: Whitened derivatives of the scalars by displacements of each joint, shape (M, k) each.
 
     Returns:
-        Number, from 0, test and regressors (M, f k) of each such joint, the surest first.
+        Number, from 0, test and regressors (M, f k) of each such joint, the surest first; empty if there is none. The
+        test is of the means of repeats of each pose.
     """
     if not len(stack.r):
         return []
@@ -155,7 +156,8 @@ def functions_of_joint(q: Array, *, slides: bool) -> Array:
         slides: Whether it is prismatic.
 
     Returns:
-        sin q, cos q and q, shape (N, 3), or q and q^2, shape (N, 2); q is centred and scaled to 1.
+        sin q, cos q and s, shape (N, 3), or s and s^2, shape (N, 2), with s = q less its mean, divided by its largest
+        magnitude.
     """
     # Centred and of size 1, so that q and q^2 do not look alike.
     centred = q - np.mean(q)
@@ -171,10 +173,10 @@ def drift(stack: Stack, order: Array) -> Explained | None:
 
     Args:
         stack: The whitened scalars.
-        order: Time or place of each row in the order, shape (N,).
+        order: Time or place of each row in the order, in any unit, shape (N,).
 
     Returns:
-        The test; None if the drift may be chance.
+        The test of a drift of each component that is proportional to the order; None if it may be chance.
     """
     if not len(stack.r):
         return None
@@ -193,7 +195,8 @@ def lag(stack: Stack, moves: Array) -> tuple[Array, Explained] | None:
         moves: Whitened effect on the scalars of the last move of each of k joints, shape (M, k).
 
     Returns:
-        The share of each joint, shape (k,), positive if it stops short; and the test. None if it may be chance.
+        The share of its move that each joint misses, shape (k,), positive if it stops short; and the test of all
+        together. None if the lag may be chance.
     """
     if not len(stack.r):
         return None
@@ -233,7 +236,7 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
         along: Whitened derivatives of the scalars by the displacement, shape (M, k).
 
     Returns:
-        The step; None if it may be chance.
+        The step; None if it may be chance, or if there are too few rows for some on either side.
     """
     most = len(rows) - _SIDE
     if most < _SIDE:
@@ -270,10 +273,14 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
 
 
 def _combined(stack: Stack) -> Callable[[Array], Explained]:
-    """Return the test of additional regressors (M, k) between poses and within repeats, combined by Fisher's method."""
+    """Return the test of additional regressors (M, k) between poses and within repeats, combined by Fisher's method.
+
+    Its p is the combined one, its other figures are those of the surer of the two tests.
+    """
     between, within = _between(stack), _within(stack)
 
     def test(Z: Array) -> Explained:
+        """Test whitened regressors (M, k) by F between poses and within repeats, and combine the p-values."""
         tests = between(Z), within(Z)
         valid = [explained for explained in tests if explained.columns]
         if not valid:
@@ -289,7 +296,10 @@ def _combined(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _between(stack: Stack) -> Callable[[Array], Explained]:
-    """Return the F test of any additional regressors (M, k) on the means of repeats of a pose."""
+    """Return the F test of any additional regressors (M, k) on the means of repeats of a pose.
+
+    The regressors of the fit and a constant of each component are there already. Components are made equally noisy.
+    """
     cells = stack.cells
     A = _means(cells, np.column_stack([stack.A, stack.ones]))
     r = _means(cells, stack.r)
@@ -298,6 +308,7 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
     base = range_of(A * even[:, None])
 
     def test(Z: Array) -> Explained:
+        """Test whitened regressors (M, k) by F, on the means of repeats of each pose and component."""
         Z = _means(cells, Z) * even[:, None]
         return f_test(base, r * even, Z, norms_of(Z))
 
@@ -305,7 +316,10 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
 
 
 def _within(stack: Stack) -> Callable[[Array], Explained]:
-    """Return the F test of any additional regressors (M, k) on the differences between repeats of a pose."""
+    """Return the F test of any additional regressors (M, k) on the differences between repeats of a pose.
+
+    Without repeats there is nothing to test: F is 0 and p is 1.
+    """
     cells = stack.cells
     components, component = np.unique(stack.component_of, return_inverse=True)
     counts = np.bincount(cells)
@@ -325,6 +339,7 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
     base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
 
     def test(Z: Array) -> Explained:
+        """Test whitened regressors (M, k) by F, on the differences from the mean of repeats."""
         Z = Z * even[:, None]
         return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
 
@@ -335,15 +350,16 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Expl
     """Test additional regressors by F.
 
     Args:
-        base: Orthonormal basis of the regressors of the fit, shape (M, rank A).
+        base: Orthonormal basis of the whitened regressors A of the fit, shape (M, rank A).
         r: Whitened residual, shape (M,).
-        Z: Additional regressors, shape (M, k).
+        Z: Additional whitened regressors, shape (M, k).
         sizes: Their sizes, shape (k,). A column is ignored if less than `_CUT` times its size is orthogonal to the
             base.
         used: Degrees of freedom that were used besides those of the base.
 
     Returns:
-        The test.
+        The test; its p is the probability of an F as large if the residual is noise. F is 0 and p is 1 if no column, no
+        degree of freedom or no residual is left.
     """
     remaining = r - base @ (base.T @ r)
     # Twice is enough to be orthogonal to rounding, if Z almost lies in the range of the base.
@@ -370,10 +386,10 @@ def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
     Args:
         A: Whitened regressors of the fit, shape (M, p).
         r: Whitened residual, shape (M,).
-        component_of: The component of each scalar, shape (M,).
+        component_of: The component of each scalar: its column, from 0, among the D of its row; shape (M,).
 
     Returns:
-        A factor for each scalar, shape (M,).
+        A factor for each scalar's residual and regressors, shape (M,); 1 if there is one component only.
     """
     components, component = np.unique(component_of, return_inverse=True)
     factors, count = np.ones(len(r)), len(components)
@@ -411,12 +427,12 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
     """Find an orthonormal basis of the numerical range of A / sizes.
 
     Args:
-        A: shape (M, k).
-        sizes: Sizes of its columns, shape (k,); None for their norms.
-        cut: Directions with a smaller singular value are not in the range.
+        A: Matrix, shape (M, k).
+        sizes: Sizes by which its columns are divided, shape (k,); None for their norms.
+        cut: Directions whose singular value, of A / sizes, is not above this are not in the range.
 
     Returns:
-        The basis, shape (M, rank).
+        The basis, shape (M, rank); rank 0 if the matrix is empty or zero.
     """
     if 0 in A.shape:
         return np.zeros((len(A), 0))

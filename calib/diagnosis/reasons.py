@@ -55,7 +55,7 @@ class Why(str, Enum):
     group: Group | None
 
     def __new__(cls, code: str, role: Role, group: Group | None = None) -> Why:
-        """Make the entry of a reason."""
+        """Make the entry of a reason: a text, its code, with its role in a verdict and its group (None: no group)."""
         why = str.__new__(cls, code)
         why._value_ = code
         why.role = role

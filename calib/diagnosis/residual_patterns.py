@@ -83,7 +83,11 @@ class Residuals:
 
     @classmethod
     def of(cls, fitted: Fitted, numbers: Integers, moves: Array) -> Residuals:
-        """Whiten the residuals of a fit to N rows; arguments are those of `residual_patterns`."""
+        """Whiten the residuals of a fit to N rows, and their derivatives by joint zeros and places of targets.
+
+        ``numbers``, shape (N,), are the rows' numbers in the table, in the order of measurement; ``moves``, shape (N,
+        m), each joint's value minus that in the table's row before [rad] or [m].
+        """
         problem, x, rows = fitted.estimate.problem, fitted.estimate.x, fitted.estimate.problem.rows
 
         # The nominal robot with frames and targets at the solution.
@@ -168,9 +172,9 @@ class Residuals:
         return np.array([p.place == place for p in self.displacements.parameters])
 
     def joint_patterns(self, stack: Stack) -> list[tuple[int, Explained, Array]]:
-        """Find the joints whose value the residual follows, in whitened scalars that may have further regressors.
+        """Find the measured joints whose value the residual follows, beyond the regressors of a stack of M scalars.
 
-        Number from 0, test and regressors (M, k) of each joint, the surest first.
+        Returned are number from 0, test and regressors (M, k) of each such joint, the surest first.
         """
         joints = self.joints
         slides = [self.slides(joint) for joint in joints]
@@ -240,7 +244,11 @@ def residual_patterns(fitted: Fitted, numbers: Integers, moves: Array) -> Iterat
 
 
 def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
-    """Yield a reason if rounding of joint values explains the noise: the joint that explains most, and its step."""
+    """Yield a reason if rounding of joint values explains much of the residuals' variance.
+
+    It has the joint that explains most, its step [rad] or [m], and the share that all joints explain, at most 1. None
+    is yielded if rounding would explain far more than there is.
+    """
     joints = residuals.joints
     grids, effects = [], []
     for joint in joints:
@@ -258,7 +266,10 @@ def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
 
 
 def _grid(q: Array, *, slides: bool) -> float:
-    """Find the largest step of which a joint's values (N,), [rad] or [m], are multiples; 0 if there is none."""
+    """Find the largest usual step of which a joint's values (N,), [rad] or [m], are multiples, in their unit.
+
+    0 if there is none, or if the joint has too few different values. ``slides`` is True for a prismatic joint.
+    """
     if len(np.unique(q)) < _SOME_VALUES:
         return 0.0
     steps = _STEPS / 10.0
@@ -309,10 +320,11 @@ def _lagging_joints(residuals: Residuals) -> Iterator[Reason]:
 
 
 def _moved_target(residuals: Residuals, stack: Stack, target: int) -> tuple[Reason, Array] | None:
-    """Find the row from which on a target, by its number from 0, is displaced in the tip; None if it did not move.
+    """Find the row from which on a target, by its number from 0, is displaced in the tip.
 
-    The stack has regressors of the steps of other targets. Returned are the reason, and the regressors of the step,
-    shape (M, 6 or 3).
+    The stack, of M scalars, has regressors of the steps of other targets. Returned are the reason, with the row's
+    number in the table, and the regressors of the step, shape (M, 6 or 3); None if there is no step beyond chance, or a
+    drift explains as much.
     """
     # Rows may be in the order of a joint's values: what depends on these is not a step, nor is what a drift explains
     # better.
@@ -342,9 +354,10 @@ def _moved_target(residuals: Residuals, stack: Stack, target: int) -> tuple[Reas
 
 
 def _flagged_from_some_row_on(fitted: Fitted) -> Mask:
-    """Find the flagged rows of targets of which the last (or first) rows are flagged and hardly any others, shape (N,).
+    """Find the flagged rows of targets of which most last (or first) rows are flagged and hardly any others.
 
-    These are not accidents: the target may have moved.
+    These are not accidents: the target may have moved. The mask of the rows of the fit, shape (N,), is False for all
+    rows of other targets.
     """
     flagged = fitted.estimate.outliers
     target = fitted.estimate.problem.rows.samples.target

@@ -65,7 +65,8 @@ def contradicted_values(fitted: Fitted, *, scale_certified: bool) -> Iterator[Re
         scale_certified: Whether the user states that the instrument's scale was certified or checked.
 
     Yields:
-        A reason for each.
+        A reason for each. If the instrument's scale is not certified and not contradicted either, one states the scale
+        error that the rows could not tell from longer arms.
     """
     task = fitted.task
     if task.has_weights_and_priors and task.cell.priors.source == "data":
@@ -124,7 +125,8 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
         fitted: A fit with prior standard deviations from the data.
 
     Returns:
-        The motion along the directions that are significant; None if no position was measured in a known frame.
+        The motion along the directions that are significant, zero if none is, with the smallest p-value of the three
+        tests; None if no position was measured in a known frame.
     """
     problem, x = fitted.estimate.problem, fitted.estimate.x
     rows, robot, model = problem.rows, fitted.task.robot, fitted.kinematics.model
@@ -182,10 +184,10 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
 
 
 def _p_of_offset(offset: float, joint: AugmentedFit, family: Mask, names: tuple[str, ...]) -> float:
-    """Return the p-value of a joint's offset [m] or [rad] that is drawn like those of the other joints, by Student's t.
+    """Return the two-sided p-value of a joint's offset [m] or [rad] if it is drawn like those of the other joints.
 
-    ``family``, shape (p,), marks the parameters that are the other joints' offsets; the first of the families ``names``
-    with a prior standard deviation gives that of the offsets. 1 if none has.
+    The test is Student's t. ``family``, shape (p,), marks the parameters that are the other joints' offsets; the first
+    of the families ``names`` with a prior standard deviation gives that of the offsets. 1 if none has.
     """
     stds = [joint.prior_std[name] for name in names if name in joint.prior_std]
     if not stds or not stds[0]:
@@ -216,9 +218,9 @@ class Scale:
 
 
 def instrument_scale(fitted: Fitted) -> Scale | None:
-    """Estimate the share by which measured lengths are too long.
+    """Estimate the share by which measured lengths are too long, jointly with the arm's parameters.
 
-    Only rows that measure a length have the scale error, and the known distances between sockets.
+    Rows that measure a length have the scale error, and so have the known distances between sockets; other rows do not.
 
     Args:
         fitted: A fit with prior standard deviations from the data.
@@ -262,10 +264,11 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
 
 
 def _wrong_internals(fitted: Fitted) -> Iterator[Reason]:
-    """Find stated sizes, such as focal lengths and boards, that seem to differ from what was stated.
+    """Yield a reason for each stated size, of a focal length or a board, that seems to differ from what was stated.
 
-    The share is the actual value over the stated one, less 1; all focal lengths of a camera, or a board's scale along x
-    and y, have the same.
+    It has the share, which is the actual value over the stated one, less 1, its standard deviation, and whether the
+    fit took the size as exact. All focal lengths of a camera, or a board's scale along x and y, have the same share.
+    Sizes whose prior is so wide that nothing was stated are left out.
     """
     rows, setup = fitted.estimate.problem.rows, fitted.setup
     stated = {unknown.parameter.name: unknown.sigma for unknown in setup.internals}

@@ -50,8 +50,9 @@ def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
         fitted: A fit to the rows of all stations; each test fits its linearised problem again.
 
     Returns:
-        A reason `Why.SETUP_UNPREDICTED` for each of the two surest stations: the names of its groups, and its errors
-        over those expected. None if there is a single station or the fit has few degrees of freedom.
+        A reason `Why.SETUP_UNPREDICTED` for each of the two surest such stations: the names of its groups, and its
+        errors over those expected. Empty if all agree, if there is a single station, or if the fit has few degrees of
+        freedom.
     """
     estimate, problem = fitted.estimate, fitted.estimate.problem
     station = joined_stations(problem.rows, fitted.task.distances)
@@ -111,7 +112,7 @@ def unpredicted(
         noise_freedoms: Degrees of freedom of that variance, shape (K,).
 
     Returns:
-        Number, from 0, and ratio of errors to noise of each such station, the surest first.
+        Number, from 0, and ratio of errors to noise (no unit) of each such station, the surest first.
     """
     is_testable = (freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0)
     testable = np.flatnonzero(is_testable)
@@ -156,7 +157,8 @@ def flagged_station(fitted: Fitted) -> Iterator[Reason]:
         fitted: The fit to the rows of all stations.
 
     Yields:
-        A reason `Why.SETUP_FLAGGED` for the first such station: its rows, and how many are flagged.
+        A reason `Why.SETUP_FLAGGED` for the first such station only: its name, the number of its rows, and how many are
+        flagged. None if there is a single station.
     """
     flagged = fitted.estimate.outliers
     stations = joined_stations(fitted.estimate.problem.rows, fitted.task.distances)

@@ -57,7 +57,8 @@ def misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
         rows: Rows of points or poses.
 
     Returns:
-        The rms error of positions [m], and of orientations [rad]; the latter is NaN for points.
+        The rms error of positions [m], the norm of three scalars, and of orientations [rad]; the latter is NaN for
+        points.
     """
     T_base_tip = robot.poses(rows.joints)
     registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
@@ -73,7 +74,7 @@ def with_joints(rows: Rows, q: Array) -> Rows:
 def poses_of_images(
     robot: Robot, cell: Cell, table: Measurements
 ) -> tuple[Measurements, Cell] | None:
-    """Replace a table of images by the poses of the boards that they show, one row a view.
+    """Replace a table of images by the poses of the boards that they show, one row a view (a board in an image).
 
     Args:
         robot: The nominal robot.
@@ -81,8 +82,9 @@ def poses_of_images(
         table: Rows of any kind.
 
     Returns:
-        The poses, with the numbers of the first corner of each view, and the cell with cameras as frames that are
-        estimated unless they are given; None unless all rows are corners in images.
+        The poses of the board in the camera, with the row number and the joint values of the first corner of each view,
+        and the cell with cameras as measurement frames that are estimated unless they are given; None if the table is
+        empty or some row is not a corner in an image.
     """
     if not len(table) or not np.all(table.is_image):
         return None
@@ -113,11 +115,11 @@ def correct_joints(robot: Robot, q: Array) -> Iterator[Correction]:
     """Shift zeros of joints, swap their columns, couple their readings, and scale them from another unit.
 
     Args:
-        robot: The robot.
-        q: Joint values of the rows, shape (N, m) [rad] or [m].
+        robot: The robot, with its m measured joints and the coupling of their readings.
+        q: Readings of the joints in the rows, shape (N, m) [rad] or [m].
 
     Yields:
-        Other joint values.
+        Readings, shape (N, m), in which one mistake is undone; the mistake's code; and the values of its reason.
     """
     names, count = robot.joint_names, len(robot.inputs)
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
@@ -150,7 +152,7 @@ def correct_joints(robot: Robot, q: Array) -> Iterator[Correction]:
 
 
 def shift_zeros(name: str, joint: int, q: Array) -> Iterator[Correction]:
-    """Shift the zero of a joint by a quarter turn either way, and by half a turn.
+    """Shift the zero of a turning joint by a quarter turn either way, and by half a turn.
 
     Args:
         name: The joint's name.
@@ -158,7 +160,8 @@ def shift_zeros(name: str, joint: int, q: Array) -> Iterator[Correction]:
         q: Joint values of the rows, shape (N, m) [rad] or [m].
 
     Yields:
-        Other joint values.
+        Joint values, shape (N, m), with the turn added to this joint's; the code of a wrong zero; and the values of its
+        reason: the turn [rad] and the joint's name.
     """
     for turn in np.radians(_TURNS_DEG):
         offsets = turn * np.eye(q.shape[1])[joint]
@@ -173,7 +176,7 @@ def correct_points(points: Array, *, turns: bool) -> Iterator[Correction]:
         turns: Whether their frame may turn freely: then every swap of two columns is a mirror, and so is every sign.
 
     Yields:
-        Other points.
+        Points, shape (N, 3) [m], in which one mistake is undone; the mistake's code; and the values of its reason.
     """
     of_axes = dict(zip("xyz", np.eye(3, dtype=bool), strict=True))
     if turns:
@@ -200,8 +203,9 @@ def correct_orientations(poses: Array) -> Iterator[Correction]:
         poses: Position [m] and the nine entries of the rotation matrix, row after row, shape (N, 12).
 
     Yields:
-        Other poses. The value ``"scalar"`` is where the scalar of the quaternions stands, ``"last"`` or ``"first"``, if
-        it was read from the other end.
+        Poses, shape (N, 12), with the same positions, in which one mistake is undone; the mistake's code; and the
+        values of its reason. The value ``"scalar"`` is where the scalar of the quaternions stands, ``"last"`` or
+        ``"first"``, if it was read from the other end.
     """
     given = Rotation.from_matrix(poses[:, 3:12].reshape(-1, 3, 3))
     wxyz = given.as_quat(scalar_first=True)

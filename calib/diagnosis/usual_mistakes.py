@@ -130,11 +130,12 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
 
     Args:
         robot: The nominal robot.
-        rows: The rows of the table.
-        source: The table's file; may be empty.
+        rows: The rows of the table; those that measure no position do not count.
+        source: Name of the table's file, for the message; may be empty.
 
     Raises:
-        MeasurementError: They are all the same; the text names the file and the place.
+        MeasurementError: There are two or more, all the same, and the joint values move the tip by more than would go
+            unnoticed; the text names the file and the place [mm].
     """
     chosen = rows.where(lambda kind: kind.position)
     if np.sum(chosen) < 2:
@@ -185,7 +186,8 @@ def frame_not_found(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
 def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
     """Find a usual mistake that explains why the nominal robot is far off the rows of a table.
 
-    Of poses the positions are examined first; several targets and frames are examined together.
+    Of poses the positions are examined first, and the orientations if the positions are plausible; several targets and
+    frames are examined together, on at most some tens of rows.
 
     Args:
         robot: The nominal robot.
@@ -257,7 +259,10 @@ def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
 
 
 def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
-    """Return whether the orientations of the rows speak against a trial of other joint values."""
+    """Return whether the orientations of the rows speak against a trial of other joint values.
+
+    False for a trial that changes the rows' points instead, and if some rows (``poses``) have no orientation.
+    """
     is_of_joints = trial.rows.measured.shape[0] == poses.measured.shape[0] and np.array_equal(
         trial.rows.measured, poses.measured[:, :3]
     )
@@ -268,9 +273,11 @@ def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
 
 
 def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | None:
-    """Explain orientations that make no sense as given, though the positions are plausible; None if nothing does.
+    """Explain orientations that make no sense as given, though the positions are plausible.
 
-    A target on the last joint's axis stays in place whatever that joint's sign and zero are.
+    The mistake has the rms errors [rad] as given and with it undone. None if the orientations are plausible, if some
+    rows have none, or if no mistake lowers the error far. A target on the last joint's axis stays in place whatever
+    that joint's sign and zero are.
     """
     if not np.all(poses.where(lambda kind: kind.orientation)):
         return None
@@ -326,9 +333,9 @@ def _with_unknown_targets(setup: Setup) -> Setup:
 def _trials(
     robot: Robot, cell: Cell, table: Measurements, setup: Setup, poses: Rows
 ) -> Iterator[Trial]:
-    """Undo the usual mistakes one at a time, except for reversed signs: each trial has all targets unknown.
+    """Yield trials in which the usual mistakes, other than reversed signs, are undone one at a time.
 
-    ``poses`` are the rows of the table, whose positions are the rows of the trials.
+    Each has all targets unknown. ``poses`` are the rows of the table, whose positions are the rows of the trials.
     """
     rows = _as_points(poses)
     free = _with_unknown_targets(setup)
@@ -395,7 +402,10 @@ def _trials(
 
 
 def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
-    """Copy rows with the value of a joint, changed by up to ``reach`` [rad] or [m], that fits each row best."""
+    """Copy rows with the value of one joint changed, by up to ``reach`` [rad] or [m], so that each row fits best.
+
+    Frames and targets that the setup leaves unknown are registered with the values before.
+    """
     every = np.arange(len(rows))
     T_base_tip = robot.poses(rows.joints)
     registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
@@ -412,8 +422,9 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
 def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int], ...]:
     """List how many joints have their sign reversed at a time, for one search after the other.
 
-    The next search is made if none before has explained the rows. An unknown frame makes a trial a hundred times as
-    expensive: then two joints at most, and last.
+    The next search is made if none before has explained the rows. Without an unknown frame there is one search, of any
+    number of joints, or of one at a time if the robot has many. An unknown frame makes a trial a hundred times as
+    expensive: then one joint, and two in a second search.
     """
     if any(setup.unknown):
         return (1,), (2,)
@@ -425,7 +436,10 @@ def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int],
 def _turned_joints(
     robot: Robot, setup: Setup, rows: Rows, counts: Iterable[int]
 ) -> Iterator[Trial]:
-    """Reverse the sign of some joints at a time (``counts``), in every combination."""
+    """Yield trials in which the signs of some joints' values are reversed: every combination of each of ``counts``.
+
+    ``rows`` are points. Every trial has all targets unknown; the more joints, the larger the factor on its error.
+    """
     every = range(len(robot.inputs))
     free = _with_unknown_targets(setup)
     for count in counts:
@@ -450,10 +464,11 @@ def doubtful_senses(robot: Robot, cell: Cell, table: Measurements) -> Iterator[R
     Args:
         robot: The nominal robot.
         cell: The cell as given.
-        table: The rows that are fitted; none is examined unless all are images.
+        table: The rows that are fitted; none is examined unless all are images, and of several views.
 
     Yields:
-        At most one reason of each sort, with the names of the joints.
+        At most one reason of each sort: the joint that surest counts the other way, with the median errors [m] as given
+        and reversed; and the names of all joints that fit as well reversed.
     """
     from_images = poses_of_images(robot, cell, table)
     if from_images is None:
@@ -488,7 +503,10 @@ def doubtful_senses(robot: Robot, cell: Cell, table: Measurements) -> Iterator[R
 
 
 def _errors_with_free_zeros(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float] | None:
-    """Return median errors [m], [rad] of poses after a fit of frames, targets and joint zeros; None if it fails."""
+    """Return median errors of positions [m] and orientations [rad] after a fit of frames, targets and joint zeros.
+
+    The rows are poses. Both are above 0; None if the fit fails.
+    """
     cell = Cell(priors=Priors("given"))
     try:
         fitted = fit(Task(robot, cell, setup, "zeros"), rows)

@@ -103,7 +103,11 @@ def calibrate(
 def _assemble_validated(
     measurements: Measurements, fits: TableFits, progress: Progress | None
 ) -> Calibration:
-    """Cross-validate the fits of a table, and assemble the result with its verdicts."""
+    """Cross-validate the fits of a table, and assemble the result with its verdicts.
+
+    A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
+    the next candidates are tried, and none stays if none does. One that the user named stays.
+    """
     outliers = fits.geometry.estimate.outliers
 
     def validate(fitted: Fitted, part: int, parts: int) -> CrossValidation:
@@ -156,7 +160,7 @@ def _assemble(
     of_non_geometric: CrossValidation | None = None,
     of_nominal: CrossValidation | None = None,
 ) -> Calibration:
-    """Assemble the result of fits and of their cross-validations, if there are any, without verdicts."""
+    """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts."""
     m, fitted, all_rows = measurements, fits.geometry, fits.all_rows
     task, estimate = fitted.task, fitted.estimate
     robot, cell = task.robot, task.cell
@@ -233,7 +237,8 @@ def _result_rows(
 ) -> ResultRows:
     """Return names, residuals, scores and weights of all N rows by the fit of the geometry.
 
-    ``residual_nominal``, shape (N, D), is measured minus predicted by the nominal robot.
+    ``residual_nominal``, shape (N, D), is measured minus predicted by the nominal robot, in the units of the rows'
+    channels. Flagged rows are listed apart for estimation and validation rows.
     """
     m, geometry, all_rows = measurements, fits.geometry, fits.all_rows
     robot, estimate = geometry.task.robot, geometry.estimate
@@ -282,7 +287,10 @@ def _result_rows(
 def _flagged(
     measurements: Measurements, channels: Channels, residual: Array, scores: Array, flagged: Mask
 ) -> tuple[Outlier, ...]:
-    """List flagged rows (a mask, (N,)) in the table's order, with the norm of their residual in each measured unit."""
+    """List the rows that a mask, shape (N,), flags: number in the table, norm of the residual by unit, and score.
+
+    ``residual``, shape (N, D), is measured minus predicted; ``scores``, shape (N,), are in standard deviations.
+    """
     norms = {unit: channels.norms(residual, unit) for unit in channels.present}
     result = []
     for i in np.flatnonzero(flagged).tolist():
@@ -292,7 +300,10 @@ def _flagged(
 
 
 def _noise(measurements: Measurements, fitted: Fitted) -> Noise:
-    """Return the noise as a fit estimated it, as table or cell state it, and the scatter of rows that repeat a pose."""
+    """Return the noise as a fit estimated it, as the table or else the cell states it, and the scatter of repeats.
+
+    The scatter is None if no two rows with weight repeat a pose.
+    """
     estimate = fitted.estimate
     rows = estimate.problem.rows
 

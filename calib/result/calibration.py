@@ -137,7 +137,7 @@ class Calibration(Value):
         Raises:
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or
                 the URDF has another link ``calib_target``.
-            ModelError: Several targets, which one link cannot stand for.
+            ModelError: ``target_link`` with several targets, which one link cannot stand for.
         """
         written = shown_by("verbs.calibrate.write_urdf")
         urdf: Urdf = written.checked_urdf(self, target_link=target_link)
@@ -164,9 +164,11 @@ class Calibration(Value):
             The path.
 
         Raises:
+            ArgumentError: The path is of another type.
             VerdictError: The verdict is ``do not use``, and ``accept`` is not given.
-            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
-            ModelError: Several targets, which one link cannot stand for.
+            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or the URDF has another
+                link ``calib_target``.
+            ModelError: ``target_link`` with several targets, which one link cannot stand for.
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
@@ -188,6 +190,7 @@ class Calibration(Value):
             The path.
 
         Raises:
+            ArgumentError: The path is of another type.
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
@@ -205,6 +208,7 @@ class Calibration(Value):
             The path.
 
         Raises:
+            ArgumentError: The path is of another type.
             ModelError: The result was read from a file, which does not hold the measurements.
             CalibError: Matplotlib is missing, which draws the figures: ``pip install 'robot-calib[report]'``.
             FileError: The file exists, or cannot be written.
@@ -316,8 +320,8 @@ class Calibration(Value):
             non_geometric: True to use the model of the field ``non_geometric``, if there is one; False: the geometry.
 
         Returns:
-            The verdict on the non-geometric model if it is to be used and has one, else that on the geometry; None if
-            there is none.
+            The verdict on the non-geometric model if that is asked for and has one, else that on the geometry; None if
+            there is none, as without cross-validation.
         """
         return self.part(non_geometric=non_geometric).verdict or self.verdict
 
@@ -359,7 +363,8 @@ class Calibration(Value):
             loads of gravity on the joints, see `gravity_loads`, None if the result has no non-geometric model.
 
         Raises:
-            ModelError: There is no such target or station.
+            ArgumentError: ``q`` is not made of numbers, or the payload is of another type.
+            ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         values = self.nominal.columns(q)
         check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
@@ -397,7 +402,8 @@ class Calibration(Value):
             shape (N, 4, 4), [m].
 
         Raises:
-            ModelError: There is no such target or station.
+            ArgumentError: ``q`` is not made of numbers.
+            ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         part = self.part(non_geometric=non_geometric)
         poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
@@ -420,7 +426,8 @@ class Calibration(Value):
             shape (N, 3), [m]; in the base if no row determines where it stands and no station is named.
 
         Raises:
-            ModelError: There is no such target or station.
+            ArgumentError: An argument of another name, or ``q`` is not made of numbers.
+            ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         unknown = [name for name in where if name not in _WHERE]
         if unknown:
@@ -455,7 +462,8 @@ class Calibration(Value):
             shape (N,), [m], of the three axes together.
 
         Raises:
-            ModelError: There is no such target or station.
+            ArgumentError: ``q`` is not made of numbers.
+            ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         part = self.part(non_geometric=non_geometric)
         samples = self.samples(q, target=target, group=group)
@@ -472,6 +480,10 @@ class Calibration(Value):
 
         Returns:
             shape (N, 4, 4), pose of the tip in the base, [m].
+
+        Raises:
+            ArgumentError: ``q`` is not made of numbers, or the payload is of another type.
+            ModelError: ``q`` has another shape, or a value is not finite.
         """
         if self.non_geometric is None:
             check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
@@ -496,8 +508,8 @@ class Calibration(Value):
     def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
         """List the joint values that lie outside of the ranges that were fitted.
 
-        These are ``rows.ranges``. A margin of 5 % of the range is allowed; a continuous joint's range may pass the full
-        turn.
+        These are ``rows.ranges``, of the fitted rows with weight. A margin of 5 % of the range is allowed; a continuous
+        joint's range may pass the full turn.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
@@ -505,6 +517,10 @@ class Calibration(Value):
         Returns:
             The rows of ``q`` with a joint outside, each by its index, from 0, with the joints and their distances from
             the range, [rad] or [m]; empty if the fitted ranges are not known.
+
+        Raises:
+            ArgumentError: ``q`` is not made of numbers.
+            ModelError: ``q`` has another shape, or a value is not finite.
         """
         values = self.nominal.columns(q)
         ranges = self.rows.ranges
@@ -524,6 +540,8 @@ class Calibration(Value):
             The same URDF with these origins, base and tip; all else is its own.
 
         Raises:
+            ArgumentError: It is not a `Robot`.
+            ModelError: Its joint readings are coupled differently.
             UrdfError: It lacks one of the joints.
         """
         return _with_origins_of(self.robot, robot)
@@ -538,6 +556,8 @@ class Calibration(Value):
             The same URDF with these origins and the base and tip of the nominal robot; all else is its own.
 
         Raises:
+            ArgumentError: It is not a `Robot`.
+            ModelError: Its joint readings are coupled differently.
             UrdfError: It lacks one of the joints.
         """
         return _with_origins_of(self.nominal, robot)
@@ -551,10 +571,11 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
         robot: A robot with the same chain.
 
     Returns:
-        True for the corrected origins, False for the nominal ones.
+        True for the corrected origins, to rounding, False for the nominal ones.
 
     Raises:
-        ModelError: It has neither, or is another chain.
+        ModelError: It has neither, has another base or tip, or its joint readings are coupled differently.
+        UrdfError: It lacks one of the joints.
     """
     chain = result.nominal
     if (robot.base, robot.tip) != (chain.base, chain.tip):
@@ -581,7 +602,11 @@ def _other_origins(robot: Robot, reference: Robot) -> list[str]:
 
 
 def _with_origins_of(source: Robot, robot: Robot) -> Robot:
-    """Return a robot with the joint origins, base and tip of another one, its source, which has the same joints."""
+    """Return a robot with the joint origins, base and tip of another one, its source.
+
+    Raises ArgumentError if it is no Robot, ModelError if its readings are coupled differently from the source's, and
+    UrdfError if it lacks one of the source's joints.
+    """
     check_type("robot", robot, Robot, "a Robot")
     check_same_coupling(robot, source)
     urdf = robot.urdf.with_origins(source.origins())
@@ -591,7 +616,10 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
 def _repeated_index(
     what: str, name: str | None, names: tuple[str, ...], count: int
 ) -> NDArray[np.int_]:
-    """Return the index of a station or target (``what``) among all names, None: the first, once for each sample."""
+    """Return the index, from 0, of a station or target (``what``) among all names, once for each of ``count`` samples.
+
+    None means the first; a name that is not among them raises ModelError.
+    """
     if name is not None and name not in names:
         raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
     index = 0 if name is None else names.index(name)
@@ -602,8 +630,8 @@ def check_same_coupling(robot: Robot, source: Robot) -> None:
     """Refuse a robot whose joint readings are coupled differently from those of the robot that it belongs to.
 
     Args:
-        robot: As given.
-        source: The robot of a result, or another model of the same arm.
+        robot: As given, with its coupling of readings.
+        source: The robot that it belongs to: that of a result, or another model of the same arm.
 
     Raises:
         ModelError: They differ: the same table would mean other joint angles.

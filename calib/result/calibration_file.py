@@ -100,7 +100,7 @@ def _prior_std_key(family: str) -> str:
 
 
 def _read_prior_std(table: Json) -> dict[str, float]:
-    """Return prior standard deviations by the family's name, from a table by `_prior_std_key`."""
+    """Return prior standard deviations by the family's name, from a table by `_prior_std_key`; no other keys."""
     keys = {family: _prior_std_key(family) for family in FAMILIES}
     return {family: float(table[key]) for family, key in keys.items() if key in table}
 
@@ -142,7 +142,10 @@ def _boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
 
 
 def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
-    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it."""
+    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it.
+
+    A key with a default may be missing; any other raises KeyError.
+    """
     boards = {}
     for row in table:
         # A key that came later, with a default, is missing in older files.
@@ -347,7 +350,10 @@ def result_table(c: Calibration) -> dict[str, Any]:
 
 
 def _registered_names(table: Json) -> dict[str, set[str]]:
-    """Return the names of families, kinds, solvers and parameter sets that a result uses, by the keys of `WORDS`."""
+    """Return the names of families, kinds, solvers and parameter sets that a result uses, by the keys of `WORDS`.
+
+    The table is that of the whole result, as `result_table` makes it; families of frames and targets are left out.
+    """
     models = [table["model"]]
     if table["non_geometric"] is not None:
         models.append(table["non_geometric"]["model"])
@@ -377,7 +383,7 @@ def write_result(
     Args:
         c: The calibration result; its measurements and fits in memory are not written.
         path: The file.
-        overwrite: Whether a file that exists is replaced.
+        overwrite: Whether a file that exists is replaced; else FileError is raised.
         extra: Further keys at the top, which win over the result's; None: no further ones.
 
     Returns:
@@ -438,7 +444,10 @@ def read_result(path: str | Path) -> Calibration:
 
 
 def _calibration(table: Json, folder: Path) -> Calibration:
-    """Return a result from its tables; meshes are looked for beside the URDF, if that is in the file's folder."""
+    """Return a result from its tables; meshes are looked for beside the URDF, if that is in the file's ``folder``.
+
+    Raises ValueError, KeyError and other errors if the tables are damaged.
+    """
     # The nominal robot, with its base, tip, held joint values and coupled readings.
     robot, stored = table["robot"], table["inputs"]["urdf"]
     data = stored["text"].encode("utf-8", "surrogateescape")
@@ -470,8 +479,11 @@ def result_of(given: ResultInput, argument: str = "calibration") -> Calibration:
     """Return a calibration result: as given, or read from its file.
 
     Args:
-        given: As a user gave it.
-        argument: Its name, for messages.
+        given: As a user gave it: the result, or the path of its JSON file.
+        argument: Name of the argument, for messages.
+
+    Returns:
+        The result; one read from a file has neither measurements nor fits.
 
     Raises:
         ArgumentError: It is neither.
@@ -487,7 +499,10 @@ def is_result_file(given: object) -> TypeGuard[str | Path]:
 
 
 def _model_values(kind: type[FittedModel], table: Json, nominal: Robot) -> dict[str, Any]:
-    """Return the arguments of a fitted model, geometric or not, from its table; its kinematics follow from them."""
+    """Return the arguments of a fitted model, geometric or not, from its table; its kinematics follow from them.
+
+    Raises ValueError if a number is missing, or parameters and terms do not belong together.
+    """
     values = _LAYOUT.values(kind, table)
 
     # The error model, see `_model_table`; its parameters are in the order of x.

@@ -65,7 +65,11 @@ def _collect_evidence(
     rows: Rows,
     doubts: tuple[Reason, ...],
 ) -> Evidence:
-    """Collect the evidence on a model of a result, from its fit and its residuals (N, D) of all rows of the table."""
+    """Collect the evidence on a model of a cross-validated result.
+
+    ``fitted`` is the model's fit, ``residual``, shape (N, D), measured minus predicted by it at all rows of the table,
+    ``rows`` are those that were fitted, and ``doubts`` the findings besides errors, to which those of noise are added.
+    """
     assert result.trust.nominal_cross_validation is not None
     assert model.cross_validation is not None
     of_robot = model.model.of_robot
@@ -177,7 +181,8 @@ def compare_validation_errors(
         channels: The channels of the residuals.
 
     Returns:
-        Errors of both robots, and the number of rows that were set aside.
+        Errors of both robots without the rows that were set aside, the number of these, and the calibrated robot's
+        errors on all validation rows.
     """
     aside = suspects & validation
     many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))
@@ -193,7 +198,11 @@ def compare_validation_errors(
 
 
 def _notes(result: Calibration) -> Iterator[Reason]:
-    """Yield reasons that only inform: a non-geometric model, copies of rows, validation rows in new joint ranges."""
+    """Yield reasons that only inform: a non-geometric model, copies of rows, validation rows outside joint ranges.
+
+    Of the rows outside of the fitted ranges it states how many there are, and joint and distance [rad] or [m] of the
+    farthest; the non-geometric model is stated only if it has a verdict.
+    """
     larger, validated = result.non_geometric, result.cross_validation
     if larger is not None and larger.cross_validation is not None and larger.verdict is not None:
         errors = larger.cross_validation.errors_without_outliers

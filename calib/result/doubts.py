@@ -88,7 +88,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
 
 def _is_named_model(result: Calibration) -> bool:
-    """Return whether the user of a result named its model, so that no larger one was tried."""
+    """Return whether the user of a result named its model, and the solver has priors: no larger model was tried."""
     return not result.method.candidates and has_weights_and_priors(result.method.solver)
 
 
@@ -124,7 +124,7 @@ def _thin(fitted: Fitted) -> tuple[Fitted, Mask]:
 def noise_doubts(
     result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
-    """Yield a reason for each channel whose noise exceeds the stated or, without one, a usual one.
+    """Yield a reason for each channel whose estimated noise far exceeds the stated or, without one, a usual one.
 
     Args:
         result: The result with its table and cell in memory, which may state the noise.
@@ -133,8 +133,8 @@ def noise_doubts(
             residuals of a named geometry follow a joint.
 
     Yields:
-        A reason with the noise as stated or assumed and as estimated, in the channel's unit, and their ratio; if none
-        is stated, the estimated noise alone.
+        A reason with the noise of a scalar as stated and as estimated, in the channel's unit [m], [rad] or [px], and
+        their ratio; if none is stated, the estimated noise alone.
     """
     codes = {doubt.why for doubt in doubts}
     if Why.MODEL_LACKS in codes:
@@ -167,9 +167,10 @@ def noise_doubts(
 
 
 def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
-    """Name the first row of each posture that no other row can check, and the joint that it alone moves.
+    """Yield one reason, if any posture cannot be checked by other rows: its first row's number, and a joint, for each.
 
-    It is the joint whose value there is farthest from all other rows', as a share of its range.
+    ``rows`` are those that were fitted. The joint is the one that the posture alone moves: whose value there is
+    farthest from all other rows', as a share of its range.
     """
     robot, m = result.nominal, result.fit.measurements
     numbers = np.array(m.rows)[m.estimation]
@@ -216,7 +217,10 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
 
 
 def _negative_compliances(result: Calibration) -> Iterator[Reason]:
-    """Name joints that would move against their load: an error that cannot be negative is, beyond its interval."""
+    """Yield a reason for each error of the non-geometric model that cannot be negative and is, beyond its interval.
+
+    Its joint would move against its load. None without a non-geometric model.
+    """
     if result.non_geometric is None:
         return
     model = result.non_geometric.model
@@ -233,7 +237,8 @@ def _negative_compliances(result: Calibration) -> Iterator[Reason]:
 def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
     """Say if repeats of a pose agree far better with each other than with the model, which then lacks something.
 
-    The reason has the scatter and the noise of the first channel, such as ``within_m`` and ``noise_m`` [m].
+    With few repeats, or residuals that are rounding, nothing is said. The reason has the scatter and the noise of the
+    first channel, such as ``within_m`` and ``noise_m`` [m].
     """
     repeats = result.noise.repeats
     rows = fitted.estimate.problem.rows

@@ -285,7 +285,8 @@ def parameter_estimates(
     """Return nominal value, value, interval and prior of each parameter of a fit.
 
     Of a parameter of the robot the nominal value is that of the DH table, or 0; of a measurement frame, and of a
-    target's orientation, it is 0, and value and change are the offset from the registered start.
+    target's orientation, it is 0, and value and change are the offset from the registered start. Of a target's position
+    it is None if the target was not given; the change is then that from the registered start.
 
     Args:
         fitted: A fit with p parameters.
@@ -350,7 +351,8 @@ def _target_position(fitted: Fitted, setup: Setup, k: int) -> tuple[float | None
 def _data_gradient(fitted: Fitted) -> Array:
     """Return minus the derivative of half the data's weighted squares by each parameter, shape (p,), [1/unit].
 
-    At the least of squares with priors it equals their pull, precision (x - centre).
+    At the least of squares with priors it equals their pull, precision (x - mean), which is returned by the formula if
+    the solver has no weights and priors.
     """
     x, problem = fitted.estimate.x, fitted.estimate.problem
     if not fitted.task.has_weights_and_priors:  # not at the least of squares, and without priors

@@ -93,15 +93,15 @@ class JointZeros(Value):
 
 
 def joint_zeros(fits: TableFits, validation: Mask, *, cross_validated: bool) -> JointZeros | None:
-    """Fit the joint zeros alone to the estimation rows of a table.
+    """Fit the joint zeros to the estimation rows of a table as the robot's only errors, with frames and targets.
 
     Weights of the rows are those of the fit of the geometry: what zeros cannot explain is not an outlier.
 
     Args:
         fits: The fits of the table.
         validation: True for the validation rows, shape (N,).
-        cross_validated: Whether the errors are to be those of held-out rows, by cross-validation of the linearised
-            problem.
+        cross_validated: Whether the errors are to be those of held-out rows, outliers aside, by cross-validation of
+            the linearised problem; else those of the validation rows, or of the fitted ones if there are none.
 
     Returns:
         The zeros with their errors; None if they cannot be fitted, as if rows are too few and priors are off.
@@ -151,7 +151,8 @@ def _fit_zeros(geometry: Fitted) -> tuple[Fitted, Mask]:
     """Fit the zeros to the rows of the geometry, with its weights; and mark parameters that the rows determine, (p,).
 
     Priors make zeros that are not determined 0. If they do not, as when only a sum of zeros is determined, or without
-    priors, one after the other is frozen at 0.
+    priors, one after the other is frozen at 0. A solver without priors is replaced by ``"lm"``. Raises CalibError if
+    the zeros cannot be fitted.
     """
     task = replace(geometry.task, model="zeros", allow_absent=True)
     if not task.has_weights_and_priors:
@@ -188,7 +189,11 @@ def reading_offsets(robot: Robot) -> Array:
 def _squared_errors(
     fitted: Fitted, rows: Rows, residual: Array, chosen: Mask
 ) -> dict[str, SquaredErrors]:
-    """Return the errors of chosen rows by unit, as functions of a further change of the zeros of a fit."""
+    """Return the errors of chosen rows by unit, as functions of a further change of the zeros of a fit.
+
+    ``residual``, shape (N, D), is measured minus predicted without that change; ``chosen``, shape (N,), marks the rows.
+    A unit that none of them measures is missing.
+    """
 
     def residual_at(q: Array) -> Array:
         """Return measured minus predicted with other readings, shape (N, m), [rad] or [m]."""

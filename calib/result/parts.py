@@ -113,10 +113,10 @@ class ResultRows(Value):
         """Count the images that have chosen rows.
 
         Args:
-            chosen: shape (N,), the rows.
+            chosen: shape (N,), True for these rows.
 
         Returns:
-            Their number; 0 if some of the rows are not corners in images.
+            The number of different images; 0 if some of the chosen rows are not corners in images.
         """
         if not self.images:
             return 0
@@ -152,7 +152,8 @@ class ResultRows(Value):
             validation: Cross-validation of the nominal or of the calibrated robot.
 
         Returns:
-            Their errors; None without images, or without residuals of the fitted rows.
+            Their errors, outliers included; None without images or cross-validation, or if that does not hold the
+            residuals of all fitted rows.
         """
         rows = self.estimation
         if self.metres_per_pixel is None or validation is None:
@@ -175,7 +176,7 @@ def errors_at_board(residual: Array, channels: Channels, scale: Array) -> Errors
         scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are not images.
 
     Returns:
-        Figures in metres.
+        Largest, mean and rms error over the rows of images [m]; other rows do not count.
     """
     images = channels.where("px")
     lengths = np.where(images, residual, 0.0) * np.where(np.isfinite(scale), scale, 0.0)[:, None]

@@ -47,8 +47,12 @@ def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOp
 
     Args:
         fitted: The fit of the geometry.
-        rows: All rows of the table.
-        geometry: The fitted model.
+        rows: All rows of the table; those that are not corners in images do not count.
+        geometry: The fitted model of the same fit.
+
+    Returns:
+        Of the cameras and boards that the images show and the cell describes, those that the fit began with and those
+        that it estimated, by the names of the cell; all empty without images.
     """
     given, setup, values = fitted.task.cell, fitted.setup, rows.samples.internals
     cameras: dict[str, Camera] = {}
@@ -81,7 +85,10 @@ def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOp
 
 
 def _key(name: str, described: Mapping[str, object]) -> str | None:
-    """Return what a cell calls the camera of a station, or the board of a target; None if it has none."""
+    """Return the key of a station's camera, or of a target's board, among those that a cell describes.
+
+    It is the name itself or ``""``, that of all others; None if neither is described.
+    """
     if name in described:
         return name
     return "" if "" in described else None
@@ -110,7 +117,10 @@ def _estimated_cameras(nominal: Mapping[str, Camera], model: FittedModel) -> Map
 
 
 def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mapping[str, Board]:
-    """Return boards with squares and markers as large as estimated, and how well the scale is known now."""
+    """Return boards with squares and markers [m] as large as estimated, and the standard deviation of their scale.
+
+    A board whose scale was not estimated stays as it is.
+    """
     targets = dict(zip(model.setup.places[1], model.setup.targets, strict=True))
     scales: dict[str, list[int]] = {key: [] for key in nominal}
     for k, parameter, column in _estimated_numbers(model, BOARD):
@@ -137,7 +147,10 @@ def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mappi
 
 
 def _estimated_numbers(model: FittedModel, family: str) -> Iterator[tuple[int, Parameter, int]]:
-    """Yield index, parameter and column of the optics of each number of cameras, or of boards, that was estimated."""
+    """Yield each estimated number of cameras, or of boards, by the family: index in x, parameter, column of the optics.
+
+    Columns are those of `calib.camera.optics`.
+    """
     for k, parameter in model.kinematics.model.internals:
         if parameter.family == family:
             assert parameter.internal is not None

@@ -96,7 +96,8 @@ def fit_table(
 
     Raises:
         ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
-        MeasurementError: Too few rows, or columns that the robot needs are missing.
+        MeasurementError: Too few rows, columns that the robot needs are missing, or all measured positions are the same
+            though the tip moves.
         SolverError: No finite result.
     """
     all_rows, setup = rows_and_setup(robot, measurements, cell)
@@ -138,8 +139,9 @@ def fit_table(
 def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
     """Choose models if the task leaves it open, and fit them: the geometry, the non-geometric model, the candidates.
 
-    The geometry has its own row weights or those of the reference fit, whichever predict held-out rows better: of the
-    non-geometric model, or of the search if that chose none.
+    The non-geometric model is None if the task's or the chosen model has no such errors; candidates are empty if the
+    model was named or the solver has no priors. The geometry has its own row weights or those of the reference fit,
+    whichever predict held-out rows better: of the non-geometric model, or of the search if that chose none.
     """
     if task.model == AUTO and not task.has_weights_and_priors:
         return fit(replace(task, model="dh", allow_absent=True), rows), None, ()
