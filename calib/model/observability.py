@@ -149,7 +149,7 @@ def rank_by_gap(values: Array) -> int:
     """Return the number of singular values before the first wide gap whose lower end is negligible.
 
     The first, not the widest gap counts: axes that are parallel within a few mrad leave values that are far below the
-    noise, though far above rounding, and practically zero.
+    noise, though far above rounding, and practically zero. Without such a gap, all values above rounding count.
 
     Args:
         values: Shape (p,), descending.

@@ -83,7 +83,8 @@ def _draw(page: Page, medium: Medium) -> str:
 def _table_context(table: Table) -> dict[str, Any]:
     """Return what the template draws of a table.
 
-    These are columns, headings above several of them, texts of rows, a note, and whether the first column is wide.
+    These are columns, headings above several of them, texts of the rows that HTML lists, a note that also counts the
+    other rows, and whether the first column is wide.
     """
     columns, rows = format_cells(table.columns, table.rows[: table.most.get(HTML)])
     groups = [

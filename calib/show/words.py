@@ -65,7 +65,10 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
 
 
 def combination_text(combination: Combination) -> str:
-    """Word a combination of parameters that change together, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
+    """Word a combination of parameters that change together, such as ``d2 and d4 together (+1 mm, -1 mm)``.
+
+    A single one is ``d2 at all``; of many only the first names and the number of the others are given, without amounts.
+    """
     names = combination.names
     if len(names) == 1:
         return f"{names[0]} at all"
