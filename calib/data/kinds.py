@@ -425,6 +425,8 @@ def _pose_residual(measured: Array, T: Array) -> Array:
 def _pose_derivative(measured: Array, T: Array, twists: Array) -> Array:
     """Return the derivative of position and orientation by p parameters, from twists (n, 6, p): shape (n, 6, p).
 
+    It is in m, then rad, per unit; ``measured`` is (n, 12), T the predicted poses (n, 4, 4).
+
     A rotation w of the target along the frame's axes makes log(M R^T) of the residual to
     log(M R^T exp(-w)): the residual changes by -J w, the prediction by J w, with the inverse
     right Jacobian J of M R^T.
@@ -462,7 +464,10 @@ def _pair_distance(T: Array) -> Array:
 
 
 def _pair_derivative(_measured: Array, T: Array, twists: Array) -> Array:
-    """Return the derivative of |p_1 - p_2| of pairs T (n, 2, 4, 4), from twists (n, 2, 6 or 3, p): shape (n, 1, p)."""
+    """Return the derivative of |p_1 - p_2| of pairs of poses T (n, 2, 4, 4) by p parameters: (n, 1, p) [m per unit].
+
+    The twists, (n, 2, 6 or 3, p), are the motions of both targets by the parameters.
+    """
     p = _position(T)
     along = _unit(p[:, 0] - p[:, 1])
     relative = twists[:, 0, :3] - twists[:, 1, :3]

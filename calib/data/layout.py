@@ -91,7 +91,8 @@ class Layout:
             The layout.
 
         Raises:
-            MeasurementError: A column is missing, there twice, without a unit or in a wrong one.
+            MeasurementError: A column is missing, there twice, without a unit or in a wrong one; there is no such kind;
+                or the positions are in a file of their own, and no row is a ``point`` or some measure an orientation.
         """
         options = column_options(columns)
         named, groups = name_columns(table, joint_names or (), options)

@@ -43,7 +43,7 @@ _WIDE = ("joints", "torques", "points", "board_points", "orientation", "covarian
 def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
     """Read what the rows of a table hold.
 
-    Rows in which all cells of the measurement are empty are left out.
+    Rows in which all cells of the measurement are empty, or whose status says that they have no command, are left out.
 
     Args:
         table: The table.

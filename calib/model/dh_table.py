@@ -153,7 +153,7 @@ def _sines(robot: Robot) -> list[float]:
 
 
 def _standard_rows(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
-    """Return the rows, bracketed as standard ones are also for the modified convention.
+    """Return the DH rows, bracketed as standard ones are also for the modified convention.
 
     The open choices are those of ``like``, rows of a robot of the same chain that are bracketed in the same way; None:
     they are made as a data sheet does.
@@ -212,7 +212,7 @@ def _standard_rows(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHT
 
 
 def _standard_form(sheet: DHTable) -> DHTable:
-    """Return rows of any convention, bracketed as standard ones, with their offsets in theta, or in d if they slide."""
+    """Return DH rows of any convention, bracketed as standard ones, with offsets in theta, or in d if they slide."""
     rows = [_with_offset(row) for row in sheet.rows]
     if sheet.convention != MODIFIED:
         return replace(sheet, rows=tuple(rows))
@@ -225,7 +225,10 @@ def _standard_form(sheet: DHTable) -> DHTable:
 
 
 def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
-    """Return rows that are bracketed as standard ones in the convention of a sheet, with its offsets."""
+    """Return DH rows that are bracketed as standard ones in the convention of a sheet of DH rows, with its offsets.
+
+    Numbers and poses that differ from the sheet's by rounding are the sheet's.
+    """
     if sheet.convention == MODIFIED:
         first = sheet.rows[0]
         table = _rebracketed(table)
@@ -272,7 +275,7 @@ def _with_offset(row: DHRow, offset: float = 0.0) -> DHRow:
 
 
 def _rebracketed(table: DHTable) -> DHTable:
-    """Return standard rows as modified ones: a and alpha move down by a row, those of the last into the tip."""
+    """Return standard DH rows as modified ones: a and alpha move a row down, the last into T_n_tip."""
     moved = []
     a = 0.0
     alpha = 0.0
@@ -285,7 +288,7 @@ def _rebracketed(table: DHTable) -> DHTable:
 
 
 def _tidy(row: DHRow, reference: Reference | None) -> DHRow:
-    """Return the row without negative zeros, and with theta and alpha less whole turns.
+    """Return the DH row without negative zeros, and with theta and alpha [rad] plus or minus whole turns.
 
     They are within half a turn of the reference's; without one -pi becomes pi.
     """

@@ -404,7 +404,10 @@ class _Units(string.Formatter):
     """Formats numbers in SI units in the unit that stands before their format: ``{noise_m:mm.3f}``."""
 
     def format_field(self, value: Any, format_spec: str) -> Any:  # noqa: ANN401
-        """Format a value; without a unit as Python does."""
+        """Format a value in SI units by a unit and Python's format, ``mm.3f``, without writing the unit.
+
+        The units are mm, deg, and % of a share; without one, as Python does.
+        """
         for unit, factor in (("mm", 1e3), ("deg", _DEG), ("%", 100.0)):
             if format_spec.startswith(unit):
                 return format(factor * value, format_spec.removeprefix(unit))

@@ -425,7 +425,7 @@ class Dots(NamedTuple):
 
 
 def draw_dots(scene: meshcat.Visualizer, sets: Sequence[Dots], radius: float) -> list[LegendEntry]:
-    """Draw each set that has points, as balls of a radius [m]; return the entries of the legend."""
+    """Draw each set that has points, as balls of a radius [m], or dots if many; return their legend entries."""
     keys = []
     for dots in sets:
         if len(dots.points):

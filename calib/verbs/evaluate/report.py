@@ -114,7 +114,7 @@ def write_report(
 def report(
     e: Assessment, origins: Origins = _NO_FILES, columns: Sequence[ErrorColumn] = ERROR_COLUMNS
 ) -> Page:
-    """List the sections that show an evaluation, each with the places where it is shown.
+    """List the sections that show an evaluation, each with its media: terminal and HTML unless it says otherwise.
 
     Args:
         e: The evaluation.
@@ -229,7 +229,7 @@ def _measurements(e: Assessment) -> Block:
 
 
 def _registered(e: Assessment) -> Iterator[Block]:
-    """Count the rows of the evaluation, and name what was registered to them: targets, frames; empty if nothing was."""
+    """Count the rows of the evaluation, and name what was registered to them: target, frame; empty if nothing was."""
     evaluation = e.evaluations["urdf"]
     registered = " and ".join(evaluation.registered)
     yield Facts(
