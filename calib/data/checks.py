@@ -94,7 +94,7 @@ def by_word(words: Sequence[str], rows: Mask) -> dict[str, list[int]]:
     """Return the indices of chosen rows, from 0, by their words.
 
     Args:
-        words: Word of each row.
+        words: Word of each of all N rows, such as the name of its pair.
         rows: Which rows to group, shape (N,).
 
     Returns:
@@ -154,7 +154,7 @@ def check_joint_names(labels: RowLabels) -> None:
     """Refuse names of joints that repeat, or that are names of other columns.
 
     Raises:
-        MeasurementError: They are not; the message lists them.
+        MeasurementError: There are such names; the message lists them.
     """
     counts = Counter(labels.joint_names)
     taken = [name for name, count in counts.items() if count > 1 or name in reserved()]
@@ -191,7 +191,9 @@ def checked_numbers(
         that is not given.
 
     Raises:
-        MeasurementError: The array is missing, of another shape, or has a number out of range.
+        ArgumentError: The entries are not numbers.
+        MeasurementError: The array is needed and missing, or of another shape; or a number of these rows is NaN or out
+            of range.
     """
     if not rows.any() or (values is None and name.startswith("sigma")):
         return None
@@ -335,8 +337,9 @@ def checked_covariances(labels: RowLabels, values: ArrayLike | None, poses: Mask
         The covariances, symmetric to the last bit, NaN in other rows; None if no row has one.
 
     Raises:
-        MeasurementError: Another shape, or a matrix that is not symmetric or not positive definite, that lacks some of
-            its numbers, or has a standard deviation that no instrument has.
+        ArgumentError: The entries are not numbers.
+        MeasurementError: Another shape, or a matrix that is zero, not symmetric or not positive definite, that lacks
+            some of its numbers, or has a standard deviation that no instrument has.
     """
     if values is None:
         return None
@@ -444,7 +447,7 @@ def check_argument_types(given: object) -> None:
 def check_reading(
     path: object, points: object, joint_names: object, joint_types: object, columns: object
 ) -> None:
-    """Refuse arguments of `Measurements.read` that are of another type."""
+    """Refuse arguments of `Measurements.read` that are of another type: ArgumentError, with the argument's name."""
     if not isinstance(path, Table):
         check_path("path", path)
     if joint_names is not None:

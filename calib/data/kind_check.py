@@ -171,7 +171,7 @@ def _differences(kind: Checked, measured: Array, poses: Array) -> Array:
 
 
 def _motion(kind: Checked, parameter: int) -> str:
-    """Return a motion in words, with the row of a pair: ``"about x (first row)"``."""
+    """Return a motion, a column of `_twists` from 0, in words with the row of a pair: ``"about x (first row)"``."""
     row, motion = divmod(parameter, len(_MOTION_WORDS))
     of_row = (" (first row)", " (second row)")[row] if kind.paired else ""
     return f"{_MOTION_WORDS[motion]}{of_row}"

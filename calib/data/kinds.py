@@ -71,7 +71,7 @@ class Reading:
     positive: bool = False
 
     def __post_init__(self) -> None:
-        """Check the quantity."""
+        """Raise CalibError if the quantity is none of those of residuals."""
         allowed = [unit.quantity for unit in RESIDUAL_UNITS.values()]
         if self.quantity not in allowed:
             unit = UNITS.get(str(self.quantity))
@@ -157,7 +157,7 @@ class Kind(Value):
     internals: Internals | None = None
 
     def __post_init__(self) -> None:
-        """Check that the residual is defined, and its units."""
+        """Raise CalibError unless the residual is defined and its units fit what is measured."""
         if self.residual is None and self.measure is None:
             raise CalibError(f"The kind '{self.name}' needs 'residual' or 'measure'.")
         if not self.units:
@@ -272,7 +272,7 @@ class Kind(Value):
         return 3 * self.position + 9 * self.orientation + len(self.readings)
 
     def readings_at(self, T_frame_target: Array, internals: InternalValues | None = None) -> Array:
-        """Return what a perfect instrument reads.
+        """Return what a perfect instrument reads; only for kinds that have ``measure``.
 
         Args:
             T_frame_target: Poses, shape (n, 4, 4) [m]; of a paired kind (n, 2, 4, 4).
@@ -425,6 +425,8 @@ def _pose_residual(measured: Array, T: Array) -> Array:
 def _pose_derivative(measured: Array, T: Array, twists: Array) -> Array:
     """Return the derivative of position and orientation by p parameters, from twists (n, 6, p): shape (n, 6, p).
 
+    It is in m, then rad, per unit; ``measured`` is (n, 12), T the predicted poses (n, 4, 4).
+
     A rotation w of the target along the frame's axes makes log(M R^T) of the residual to
     log(M R^T exp(-w)): the residual changes by -J w, the prediction by J w, with the inverse
     right Jacobian J of M R^T.
@@ -447,7 +449,10 @@ def _distance(T: Array) -> Array:
 
 
 def _distance_derivative(_measured: Array, T: Array, twists: Array) -> Array:
-    """Return the derivative of the distance at poses T (n, 4, 4), from twists (n, 6 or 3, p): shape (n, 1, p)."""
+    """Return the derivative of the distance |p| at poses T (n, 4, 4) by p parameters: shape (n, 1, p) [m per unit].
+
+    The twists, (n, 6 or 3, p), are the motions of the targets by the parameters.
+    """
     along = _unit(_position(T))
     return np.asarray(np.einsum("ni,nip->np", along, twists[:, :3])[:, None])
 
@@ -459,7 +464,10 @@ def _pair_distance(T: Array) -> Array:
 
 
 def _pair_derivative(_measured: Array, T: Array, twists: Array) -> Array:
-    """Return the derivative of |p_1 - p_2| of pairs T (n, 2, 4, 4), from twists (n, 2, 6 or 3, p): shape (n, 1, p)."""
+    """Return the derivative of |p_1 - p_2| of pairs of poses T (n, 2, 4, 4) by p parameters: (n, 1, p) [m per unit].
+
+    The twists, (n, 2, 6 or 3, p), are the motions of both targets by the parameters.
+    """
     p = _position(T)
     along = _unit(p[:, 0] - p[:, 1])
     relative = twists[:, 0, :3] - twists[:, 1, :3]
@@ -495,7 +503,10 @@ def _socket_residual(_measured: Array, T: Array) -> Array:
 
 
 def _socket_frame(points: Array, _measured: Array, T_frame_base: Array) -> Array:
-    """Return T_frame_base of a frame in a socket: at the mean of the targets' positions (n, 3) in the base [m]."""
+    """Return T_frame_base of a frame in a socket: at the mean of the targets' positions (n, 3) in the base [m].
+
+    It keeps the turn of the given T_frame_base, (4, 4).
+    """
     return _with_origin_at(T_frame_base, points.mean(axis=0))
 
 
@@ -505,7 +516,10 @@ def _plane_residual(_measured: Array, T: Array) -> Array:
 
 
 def _plane_derivative(_measured: Array, _T: Array, twists: Array) -> Array:
-    """Return the derivative of the height p_z over the plane, from twists (n, 6 or 3, p): shape (n, 1, p)."""
+    """Return the derivative of the height p_z over the plane by p parameters: shape (n, 1, p) [m per unit].
+
+    The twists, (n, 6 or 3, p), are the motions of the targets by the parameters.
+    """
     return twists[:, 2:3]
 
 

@@ -91,7 +91,8 @@ class Layout:
             The layout.
 
         Raises:
-            MeasurementError: A column is missing, there twice, without a unit or in a wrong one.
+            MeasurementError: A column is missing, there twice, without a unit or in a wrong one; there is no such kind;
+                or the positions are in a file of their own, and no row is a ``point`` or some measure an orientation.
         """
         options = column_options(columns)
         named, groups = name_columns(table, joint_names or (), options)
@@ -149,7 +150,10 @@ def _kinds(
     *,
     points_elsewhere: bool,
 ) -> tuple[str, ...]:
-    """Return the names of the kinds of the rows: ``kind`` if given, those in the column ``kind``, or by the columns."""
+    """Return the names of the kinds of the rows: ``kind`` if given, those in the column ``kind``, or one by headers.
+
+    It is ``point`` if none of them tells. MeasurementError on a word that names no kind.
+    """
     if kind is not None:
         return (registry.get(kind).name,)
     known = registry.names()
@@ -192,7 +196,10 @@ def _blocks(
     *,
     points_elsewhere: bool,
 ) -> dict[str, Columns]:
-    """Return the columns of numbers that rows of the present kinds use, by what they hold, as `Layout.blocks`."""
+    """Return the columns of numbers that rows of the present kinds use, by what they hold, as `Layout.blocks`.
+
+    MeasurementError if one that they need is missing or in a wrong unit; noise and torques may be missing.
+    """
     covariances: Columns = ()
     given = [name for name in COVARIANCE if name in named]
     if given and any(kind.may_have_covariance for kind in present):
@@ -264,9 +271,10 @@ def _joints(
     types: Mapping[str, str],
     options: ColumnOptions,
 ) -> Columns:
-    """Return the columns of joints, in the order of their names.
+    """Return the columns of joints, in the order of ``joint_names``; MeasurementError if one is missing.
 
-    Without names: every column of angles, and of joints whose type is known, except for names with another meaning.
+    Without names: every column of angles, and of joints whose URDF type is known, except for names with another
+    meaning, in the order of the table; MeasurementError if there is none.
     """
     taken = {*reserved(), *ORIENTATION}
     if joint_names is None:
@@ -299,9 +307,9 @@ def _joints(
 
 
 def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, what: str) -> Column:
-    """Return the column of this name, in a unit of its quantity; None: a column of words.
+    """Return the column of this name, in a unit of the quantity (None: a column of words).
 
-    ``what`` needs the column, for the message.
+    MeasurementError if it is missing or has another unit; ``what`` says for the message which rows need it.
     """
     if name in named:
         column = named[name]

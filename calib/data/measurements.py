@@ -365,6 +365,9 @@ class Measurements(Value):
 
         Returns:
             The values, shape (N,), in SI units; NaN in rows that do not measure it.
+
+        Raises:
+            MeasurementError: No registered kind has such a reading.
         """
         if name not in registry.readings():
             raise MeasurementError(
@@ -383,6 +386,7 @@ class Measurements(Value):
             Joint values, shape (N, m), [rad] or [m], read-only.
 
         Raises:
+            ArgumentError: The names are not a sequence of texts.
             MeasurementError: The table lacks one of the joints.
         """
         check_names("names", names)
@@ -405,6 +409,9 @@ class Measurements(Value):
 
         Returns:
             These rows, in their order.
+
+        Raises:
+            ArgumentError: It is not True or False for each row.
         """
         chosen = mask_of_rows("mask", mask, len(self))
         is_chosen = chosen.tolist()
@@ -421,8 +428,9 @@ class Measurements(Value):
     def without_copies(self) -> Measurements:
         """Return the rows without those that repeat an earlier row to the last digit.
 
-        Joint values and measurement of repeats differ by noise; equal ones were copied. Rows of
-        kinds that measure no number, and pairs, are kept.
+        Joint values and measurement of repeats differ by noise; equal ones, of the same kind, station
+        and target, were copied, whatever their torques, set and ``sigma``. Rows of kinds that measure no
+        number, and pairs, are kept.
 
         Returns:
             The rows; ``copies`` has the row numbers of those that were left out.
@@ -447,7 +455,8 @@ class Measurements(Value):
         """Write a CSV table in degrees and millimetres that `read` gives back.
 
         Numbers that came from a table in these units come back to the last bit, others to a relative 1e-15, because
-        hardly any number of radians is exactly a number of degrees. Orientations come back to 1e-15.
+        hardly any number of radians is exactly a number of degrees. Orientations come back to 1e-15. Columns in which
+        no row has a number, or all have the word that is filled in when none is given, are left out, except ``set``.
 
         Args:
             path: The file.

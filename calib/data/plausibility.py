@@ -59,7 +59,7 @@ def implausible_length(values: Array, units: Sequence[Unit], *, near: bool = Tru
     Args:
         values: Positions or lengths as written, shape (N, k); NaN where nothing is measured.
         units: Unit of each of the k columns.
-        near: Whether rows that are all close to the origin are a fault too.
+        near: Whether rows that are all close to the origin are a fault too, unless they are in m.
 
     Returns:
         The number to blame; None if all are plausible.
@@ -86,7 +86,7 @@ def implausible_length(values: Array, units: Sequence[Unit], *, near: bool = Tru
 
 @np.errstate(over="ignore")  # an infinite length is too large as well
 def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> None:
-    """Refuse numbers that cannot be in their units.
+    """Refuse numbers that cannot be in their units: metres read as millimetres, degrees as radians.
 
     Args:
         table: The table, for messages.
@@ -128,7 +128,7 @@ def _check_block(
     columns: Sequence[Column],
     values: Array,
 ) -> None:
-    """Refuse columns of one quantity whose numbers (N, columns) cannot be in their units."""
+    """Raise MeasurementError if numbers, (N, columns) as written, of a block cannot be in the units of its columns."""
     complete = np.isfinite(values).all(axis=1)
     if not complete.any():
         return

@@ -43,7 +43,7 @@ _WIDE = ("joints", "torques", "points", "board_points", "orientation", "covarian
 def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
     """Read what the rows of a table hold.
 
-    Rows in which all cells of the measurement are empty are left out.
+    Rows in which all cells of the measurement are empty, or whose status says that they have no command, are left out.
 
     Args:
         table: The table.
@@ -140,7 +140,10 @@ def _measured_blocks(kind: Kind, blocks: Collection[str]) -> list[str]:
 
 
 def _used_blocks(kind: Kind, blocks: Collection[str]) -> set[str]:
-    """Return the names of the blocks that rows of a kind use: measured ones, joints and noise."""
+    """Return the names of the blocks that rows of a kind use, be they there or not: measured ones, joints and noise.
+
+    Noise is the covariance if the kind may have one and the table has it, else standard deviations.
+    """
     noise = {RESIDUAL_UNITS[symbol].sigma_name for symbol in kind.units}
     if kind.may_have_covariance and "covariances" in blocks:
         noise = {"covariances"}
@@ -164,7 +167,11 @@ def _used_numbers(table: Table, layout: Layout, kinds: Words) -> dict[str, Array
 
 
 def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -> Mask:
-    """Mark the rows that hold a measurement, shape (rows,); MeasurementError if one of them lacks a number."""
+    """Mark the rows that hold a measurement, shape (rows,), of numbers as written in the cells.
+
+    MeasurementError if such a row lacks a number that its kind uses, or has one that is not finite; of a pair one row
+    may lack what is measured.
+    """
     measured = np.ones(len(table.cells), dtype=np.bool_)
     if STATUS in layout.words:
         status = table.column(layout.words[STATUS])

@@ -46,9 +46,10 @@ class Rule:
         return self.convention == HAYATI
 
     def parallel(self, sine: float, reference: Reference | None) -> bool:
-        """Return True if two axes count as parallel.
+        """Return True if two axes count as parallel, for Hayati's rows also if they are nearly so.
 
-        If the reference's axes are nearly parallel, these are too, on whichever side of the limit they are.
+        For Hayati's rows the reference decides, if there is one: its axes count as nearly parallel, or not, and so do
+        these. Other conventions do not look at it.
 
         Args:
             sine: Sine of the angle between them.
@@ -96,6 +97,8 @@ def row_to(
     rule: Rule,
 ) -> RowNumbers:
     """Return the row from a frame to the axis of the next joint.
+
+    Between parallel axes d is 0, or, if the rule keeps numbers, the reference's.
 
     Args:
         T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.
@@ -175,6 +178,9 @@ def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: 
 
 def last_row(T: Array, T_base_tip: Array, reference: Reference | None, rule: Rule) -> RowNumbers:
     """Return the row from the last axis to the tip, whose frame is the tip's if it can be.
+
+    If it cannot, the frame after the row is on the last axis, or where the reference's a, alpha and beta put it, and
+    T_n_tip, which is not returned here, leads on to the tip.
 
     Args:
         T: Shape (4, 4), [m], the frame before the row, in the base at q = 0.

@@ -56,7 +56,8 @@ def dh_table(
 
     Args:
         robot: The robot.
-        convention: One of `CONVENTIONS`.
+        convention: One of `CONVENTIONS`; unless given, Hayati's: standard rows, with beta in place of d between nearly
+            parallel axes.
         like: A robot of the same chain, such as the nominal one, whose open choices are kept so that columns compare;
             None to choose as a data sheet does.
         sheet: Rows of the same chain in the same convention, as a controller has them: the robot's differ from them by
@@ -78,10 +79,10 @@ def dh_table(
 
 
 def near_parallel(robot: Robot) -> dict[tuple[str, str], float]:
-    """Return the angle [rad] between axes of consecutive joints that are nearly, but not exactly, parallel.
+    """Return the angles between axes of consecutive joints that are nearly, but not exactly, parallel.
 
     Returns:
-        By the two joints' names, base to tip.
+        The angle [rad] by the names of the two joints, base to tip; no entry for other joints.
     """
     limit = _parallel_limit(robot)
     names = [joint.name for joint in robot.joints]
@@ -99,7 +100,10 @@ def taken_as_parallel(robot: Robot) -> float:
 
 
 def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
-    """Return the joints' frames and the tip's at q = 0: n poses T_base_joint and T_base_tip, (4, 4), [m]."""
+    """Return the frames of the chain's n joints and of the tip at q = 0: n poses T_base_joint, and T_base_tip.
+
+    Each is of shape (4, 4), [m], in the base.
+    """
     T = rigid_inverse(robot.T_root_base)
     frames = []
     for placement in robot.placements:
@@ -109,13 +113,17 @@ def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
 
 
 def _rule_for(robot: Robot, convention: str) -> Rule:
-    """Return the rule of a convention; of Hayati's rows, no angle below that of nearly parallel axes is a limit."""
+    """Return the rule of a convention, which keeps no numbers of a sheet; the limit of Hayati's, 0, is not used."""
     limit = 0.0 if convention == HAYATI else _parallel_limit(robot)
     return Rule(convention, limit)
 
 
 def _parallel_limit(robot: Robot) -> float:
-    """Return the angle [rad] below which axes count as parallel: the first whose rows hold the robot, else the best."""
+    """Return the angle [rad] below which axes count as parallel.
+
+    It is the first of `_PARALLEL` with which standard rows have the robot's poses, up to what it neglects, at random
+    joint values; else the one with the smallest error.
+    """
     sines = _sines(robot)
     random = np.random.default_rng(_SEED)
     q = random.uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
@@ -133,7 +141,7 @@ def _parallel_limit(robot: Robot) -> float:
 
 
 def _axes(robot: Robot, T_base_joint: Sequence[Array]) -> list[Array]:
-    """Return the axis of each joint, shape (3,), in the base, by the joints' frames."""
+    """Return the unit vector of each joint's axis, shape (3,), in the base, from its pose (4, 4) in the base."""
     return [T[:3, :3] @ joint.axis for T, joint in zip(T_base_joint, robot.joints, strict=True)]
 
 
@@ -145,9 +153,10 @@ def _sines(robot: Robot) -> list[float]:
 
 
 def _standard_rows(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHTable:
-    """Return the rows, bracketed as standard ones are also for the modified convention.
+    """Return the DH rows, bracketed as standard ones are also for the modified convention.
 
-    The open choices are those of ``like``, rows of a robot of the same chain that are bracketed in the same way.
+    The open choices are those of ``like``, rows of a robot of the same chain that are bracketed in the same way; None:
+    they are made as a data sheet does.
     """
     T_base_joint, T_base_tip = zero_poses(robot)
     slides = [joint.type == "prismatic" for joint in robot.joints]
@@ -203,7 +212,7 @@ def _standard_rows(robot: Robot, rule: Rule, like: DHTable | None = None) -> DHT
 
 
 def _standard_form(sheet: DHTable) -> DHTable:
-    """Return rows of any convention, bracketed as standard ones, with their offsets in theta, or in d if they slide."""
+    """Return DH rows of any convention, bracketed as standard ones, with offsets in theta, or in d if they slide."""
     rows = [_with_offset(row) for row in sheet.rows]
     if sheet.convention != MODIFIED:
         return replace(sheet, rows=tuple(rows))
@@ -216,7 +225,10 @@ def _standard_form(sheet: DHTable) -> DHTable:
 
 
 def _in_form_of(sheet: DHTable, table: DHTable) -> DHTable:
-    """Return rows that are bracketed as standard ones in the convention of a sheet, with its offsets."""
+    """Return DH rows that are bracketed as standard ones in the convention of a sheet of DH rows, with its offsets.
+
+    Numbers and poses that differ from the sheet's by rounding are the sheet's.
+    """
     if sheet.convention == MODIFIED:
         first = sheet.rows[0]
         table = _rebracketed(table)
@@ -255,7 +267,7 @@ def _settled_pose(T: Array, of_sheet: Array) -> Array:
 
 
 def _with_offset(row: DHRow, offset: float = 0.0) -> DHRow:
-    """Return the same row with another offset: theta, or d if the joint slides, takes up the difference."""
+    """Return the same row with another offset [rad or m]: theta, or d if the joint slides, takes up the difference."""
     moved = row.offset - offset
     if row.prismatic:
         return replace(row, d=row.d + moved, offset=offset)
@@ -263,7 +275,7 @@ def _with_offset(row: DHRow, offset: float = 0.0) -> DHRow:
 
 
 def _rebracketed(table: DHTable) -> DHTable:
-    """Return standard rows as modified ones: a and alpha move down by a row, those of the last into the tip."""
+    """Return standard DH rows as modified ones: a and alpha move a row down, the last into T_n_tip."""
     moved = []
     a = 0.0
     alpha = 0.0
@@ -276,7 +288,10 @@ def _rebracketed(table: DHTable) -> DHTable:
 
 
 def _tidy(row: DHRow, reference: Reference | None) -> DHRow:
-    """Return the row without signs of zero, and its angles in the turn of the reference's, or half a turn as pi."""
+    """Return the DH row without negative zeros, and with theta and alpha [rad] plus or minus whole turns.
+
+    They are within half a turn of the reference's; without one -pi becomes pi.
+    """
     theta = row.theta
     alpha = row.alpha
     if reference is None:

@@ -91,7 +91,7 @@ class ErrorModel(Value):
     _undisplaced: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse names given twice and unknown places; note the place and the twist of each term."""
+        """Note the place and the twist of each term; raise ModelError for names given twice and unknown places."""
         if not self.terms:
             object.__setattr__(self, "terms", self.parameters)
             object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
@@ -140,7 +140,7 @@ class ErrorModel(Value):
 
     @property
     def of_robot(self) -> Mask:
-        """The parameters that are errors of the robot, not of frames, targets, cameras or boards; shape (p,)."""
+        """Mask, shape (p,): True for errors of the robot, False for those of frames, targets, cameras or boards."""
         return ~self.family(*SETUP)
 
     @property
@@ -174,6 +174,8 @@ class ErrorModel(Value):
 
     def tied(self, ties: Mapping[str, tuple[str, float]]) -> ErrorModel:
         """Return the model with some parameters following others, x_follower = factor x_leader.
+
+        Followers are no unknowns of that model; their terms of the equation stay.
 
         Args:
             ties: Leader's name and factor by the follower's name. A leader stays free.
@@ -254,7 +256,8 @@ class ErrorModel(Value):
 
         Args:
             robot: The nominal robot.
-            x: Shape (p,), the parameters; those of frames, targets and the joints' state are left out.
+            x: Shape (p,), the parameters in their units; those of frames, targets, instruments and the joints' state
+                have no effect.
 
         Raises:
             UrdfError: A placement is displaced that no URDF joint carries.

@@ -183,7 +183,7 @@ class JointState:
 
     @property
     def _loads(self) -> Array:
-        """The load on the joint and the lever arms about it, shape (N, n + 3)."""
+        """The load on the joint [Nm or N] and lever arms about it [m], shape (N, n + 3); ModelError if not known."""
         if self.loads is None:
             raise ModelError(f"The compliance of '{self.joint}' needs the load on the joints.")
         return self.loads[:, self.chain.index(self.joint)]
@@ -365,7 +365,10 @@ def register(family: Family) -> None:
 
 
 def _check_unit(family: Family, field: str, unit: Unit) -> None:
-    """Refuse a unit in a field of a family that is not a `Unit`, or differs from the one with the same symbol."""
+    """Check the unit in a field of a family, ``unit`` or ``sliding``.
+
+    ArgumentError if it is not a `Unit`, ModelError if it differs from the registered one with the same symbol.
+    """
     known = _units()
     if not isinstance(unit, Unit):
         raise ArgumentError(
@@ -380,7 +383,9 @@ def _check_unit(family: Family, field: str, unit: Unit) -> None:
 
 
 def _check_functions(factor: Factor) -> None:
-    """Refuse a factor whose functions fail, have hardly a finite value, or a wrong slope at states of six joints.
+    """Raise ModelError on a factor whose functions fail, have hardly a finite value, or a wrong slope.
+
+    They are called at random states of a chain of six joints, for the first of them.
 
     A function that does not find a joint by its name or number is for one robot, and is not checked.
     """
@@ -408,9 +413,10 @@ def _check_functions(factor: Factor) -> None:
 
 
 def _called(factor: Factor, name: str, function: Callable[[JointState], Array], q: Array) -> Array:
-    """Return what a function of a factor gives for the first of six joints at values q, (N, 6); ModelError if it fails.
+    """Return what a function of a factor gives for the first of six joints at values q, (N, 6) [rad or m]: shape (N,).
 
-    LookupError or ValueError, if it does not find a joint, are passed on.
+    ModelError if it fails or returns another shape; LookupError and ValueError, if it does not find a joint, are passed
+    on. ``name`` is that of the function, for messages.
     """
     count, joints = q.shape
     loads = np.random.default_rng(1).uniform(0.5, 1.5, (count, joints, joints + 3))

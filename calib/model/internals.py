@@ -111,8 +111,9 @@ def changed_internals(
     """Add the values of parameters to the internals of rows; return None if their instruments have none.
 
     Args:
-        before: Shape (n, c), the internals before the fit.
-        changes: Parameters of instruments, each with its value and its index among all parameters (or `FIXED`).
+        before: Shape (n, c), the internals before the fit; it is not changed. None: there are none.
+        changes: Parameters of instruments, each with its value in its unit and its index among all parameters (or
+            `FIXED`, if its value is no unknown). Each changes one column, in the rows that its ``samples`` select.
     """
     if before is None:
         return None

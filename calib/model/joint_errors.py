@@ -31,6 +31,9 @@ _LEVER_POSES = 20
 def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) -> list[Parameter]:
     """Return the parameters of one family of the joints' state, named ``<joint>.gain`` and so on.
 
+    The measured joints have them, or all joints of the chain if the family says so; joints that slide have none if the
+    family has no unit for them.
+
     Args:
         robot: The nominal robot.
         family: Name of the family, such as ``"gain"``.
@@ -68,8 +71,9 @@ def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) ->
 def _distinct_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list[str]]:
     """Return, by the joint's name, the points of the chain where masses load each joint with different lever arms.
 
-    Points are names of joints (for their origins) or of `ENDS`, in the order of the chain; of those with equal lever
-    arms in several poses the first.
+    Points are names of joints (for their origins) or of `ENDS`, in the order of the chain. Of points with equal lever
+    arms in all trial poses there is the first; points without a lever arm about the joint are left out. Gravity is in
+    the URDF's root [m/s^2].
     """
     q = spread_poses(robot, _LEVER_POSES)
     levers = gravity_loads(robot, q, None, gravity)[:, :, 1:]
@@ -86,12 +90,12 @@ def _distinct_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list
 
 
 def axis_twists(robot: Robot) -> Array:
-    """Return the twist of a unit of each joint of the chain, in its own frame, shape (n, 6), linear then angular."""
+    """Return the twist of a unit, 1 m or 1 rad, of each joint in its own frame, shape (n, 6), linear then angular."""
     return read_only([_joint_twist(joint) for joint in robot.joints])
 
 
 def _joint_twist(joint: UrdfJoint) -> Array:
-    """Return the twist of a unit of a joint in its own frame, shape (6,)."""
+    """Return the twist of a unit, 1 m or 1 rad, of a joint in its own frame, shape (6,): linear, then angular."""
     zeros = np.zeros(3)
     if joint.type == "prismatic":
         return twist_of(joint.axis, zeros)

@@ -178,7 +178,7 @@ class Kinematics(Value):
         return Sightings(poses, twists, self.internals(x, samples))
 
     def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
-        """Return all placements displaced by the parameters x, (p,), and the twist of a unit of each of them there."""
+        """Return frames, placements and targets displaced by x, (p,), and the twists there of each parameter's unit."""
         displacements, twists = self.model.displacements(x)
         twists = twists.reshape(len(displacements), 6, -1)
         first = len(self.T_frame_base)
@@ -194,7 +194,10 @@ class Kinematics(Value):
         return geometry, directions
 
     def _chain_samples(self, x: Array, samples: SamplesOrValues) -> kernel.ChainSamples:
-        """Return the chain's joint values with the joints' own errors at x, (p,), and their derivative by x."""
+        """Return the chain's n joint values, (N, n), with the joints' own errors at x, (p,), and their derivative by x.
+
+        ModelError if an error needs the loads on the joints, and the samples have none.
+        """
         if not isinstance(samples, Samples):
             samples = Samples.at(samples)
         values = self.robot.chain_values(samples.q)

@@ -89,7 +89,8 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         units: Symbols of their units, "m" or "rad" for most, see `calib.model.families.unit_of`.
 
     Returns:
-        Rank, unobservable combinations and indices; of rank 0 without parameters.
+        Rank, unobservable combinations and indices; of rank 0 without parameters. Of rank 0 there are no indices, and
+        the condition is infinite, or 1 without parameters.
     """
     if not len(names):
         return Observability(0, 0, 1.0, read_only([]), {}, (), np.zeros(0, dtype=bool))
@@ -149,7 +150,7 @@ def rank_by_gap(values: Array) -> int:
     """Return the number of singular values before the first wide gap whose lower end is negligible.
 
     The first, not the widest gap counts: axes that are parallel within a few mrad leave values that are far below the
-    noise, though far above rounding, and practically zero.
+    noise, though far above rounding, and practically zero. Without such a gap, all values above rounding count.
 
     Args:
         values: Shape (p,), descending.

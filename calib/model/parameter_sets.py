@@ -85,7 +85,9 @@ def error_model(
         further: Further parameters, of cameras and boards, which come last.
 
     Raises:
-        ModelError: No such set or family; or ``paper`` with an unknown frame, which the paper does not have.
+        ArgumentError: ``name`` is neither a text nor a sequence of parameters.
+        ModelError: No such set or family; a name of a parameter that occurs twice; or ``paper`` with an unknown frame,
+            which the paper does not have.
 
     Example:
         >>> len(error_model(Robot.load("ur3", base="base", tip="tool0"), "paper"))
@@ -166,7 +168,10 @@ def _placed_parameters(
     name: str,
     directions: Iterable[str],
 ) -> list[Parameter]:
-    """Return the parameters of a frame or target in some of `DIRECTIONS`; their names begin with the prefix."""
+    """Return the parameters [m or rad] of a frame or target of this name, "" for the only one, in some of `DIRECTIONS`.
+
+    Their names begin with the prefix, ``"frame"`` or ``"target"``; the family is `FRAME` or `TARGET`.
+    """
     return [
         Parameter(
             name=placed_name(prefix, direction, name),

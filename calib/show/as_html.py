@@ -37,6 +37,9 @@ def page_bytes(page: Page) -> bytes:
     """Draw the sections of a page that are for HTML, UTF-8.
 
     Two pages of the same content differ in their date only.
+
+    Raises:
+        CalibError: It has a figure, and matplotlib is not installed.
     """
     return _draw(page, HTML).encode("utf-8", "replace")
 
@@ -83,7 +86,8 @@ def _draw(page: Page, medium: Medium) -> str:
 def _table_context(table: Table) -> dict[str, Any]:
     """Return what the template draws of a table.
 
-    These are columns, headings above several of them, texts of rows, a note, and whether the first column is wide.
+    These are columns, headings above several of them, texts of the rows that HTML lists, a note that also counts the
+    other rows, and whether the first column is wide.
     """
     columns, rows = format_cells(table.columns, table.rows[: table.most.get(HTML)])
     groups = [
@@ -104,7 +108,7 @@ def _table_context(table: Table) -> dict[str, Any]:
 
 
 def _figure_address(drawing: Drawing) -> str:
-    """Draw a figure and return it as a data address: SVG, or PNG if SVG would be large."""
+    """Draw a figure and return it as a data address: SVG, or a PNG if that is large; CalibError without matplotlib."""
     from calib.show.plotting import render
 
     media_type = "svg+xml"

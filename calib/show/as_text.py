@@ -43,7 +43,10 @@ def _bullet_lines(bullets: Bullets) -> list[str]:
 
 
 def _table_lines(table: Table) -> list[str]:
-    """Return the lines of a table for a terminal, its title above or at the head of the names; others are counted."""
+    """Return the lines of a table for a terminal, its title above or at the head of the names; none without rows.
+
+    A last line counts the rows beyond those that a terminal lists.
+    """
     if not table.rows:
         return []
     first, *others = table.columns

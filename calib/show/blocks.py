@@ -64,7 +64,7 @@ class Bullets(Block):
     most: Mapping[Medium, int] = field(default_factory=dict)
 
     def listed(self, medium: Medium) -> list[str]:
-        """Return the items that a medium lists, and how many more there are."""
+        """Return the items that a medium lists; if there are more, a last one counts them: ``"and 3 more"``."""
         listed = list(self.items[: self.most.get(medium)])
         more = len(self.items) - len(listed)
         return [*listed, f"and {more} more"] if more else listed

@@ -44,7 +44,10 @@ class ErrorColumn:
 
 
 def _span(axis: int) -> Callable[[UnitErrors], float]:
-    """Return the function that gives the span of errors along an axis; NaN in units whose span is not shown."""
+    """Return the function that gives the span of errors along an axis of the measurement frame: 0, 1, 2 for x, y, z.
+
+    It is in the unit of the errors; NaN in units whose span is not shown.
+    """
 
     def span(errors: UnitErrors) -> float:
         shows = RESIDUAL_UNITS[errors.unit].shows_span
@@ -99,10 +102,10 @@ def error_table(
         title: What the errors are of, see `error_title`.
         unit: Symbol of the unit.
         rows: The rows; those without errors in this unit are left out. A text takes a row of its own.
-        columns: The columns after the number of rows.
+        columns: The columns after the number of rows: largest, mean, rms and spans unless given.
         names: Heading of the labels on a page.
         note: Sentences below the table on a page.
-        on: The media that draw it.
+        on: The media that draw it: all of them unless given.
 
     Returns:
         Number of rows, and the figures of ``columns`` of each set of rows.
@@ -129,12 +132,15 @@ def error_table(
 
 
 def error_cells(errors: UnitErrors, columns: Sequence[ErrorColumn]) -> list[float]:
-    """Return the figures of errors that columns show, in the unit of the errors."""
+    """Return the figures of errors that columns show, in the unit of the errors: [m], [rad] or [px]; NaN for none."""
     return [column.value(errors) for column in columns]
 
 
 def error_texts(errors: UnitErrors, columns: Sequence[ErrorColumn]) -> list[str]:
-    """Write the figures of errors that columns show, for tables whose rows differ in their unit."""
+    """Write the figures of errors that columns show, in the unit in which they are shown, such as mm, without it.
+
+    For tables whose rows differ in their unit.
+    """
     return [column.column(errors.unit).text(column.value(errors)) for column in columns]
 
 

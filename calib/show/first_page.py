@@ -61,7 +61,7 @@ class FirstPage(Block):
 
     @property
     def left(self) -> list[Line]:
-        """Lines of the form's left half: customer and robot."""
+        """Label and value of each line of the form's left half: customer and robot; an empty value stays blank."""
         robot, record = self.robot, self.record
         chain = f"{robot.name}, {robot.base} to {robot.tip}, {plural(len(robot.joints), 'joint')}"
         return [
@@ -78,7 +78,7 @@ class FirstPage(Block):
 
     @property
     def right(self) -> list[Line]:
-        """Lines of the form's right half: instrument, place, time."""
+        """Label and value of each line of the form's right half: instrument, place, time; an empty one stays blank."""
         record = self.record
         temperatures = " to ".join(number(value, 1) for value in record.temperature_C)
         return [
@@ -123,7 +123,10 @@ def _line_count(text: str, width: int) -> int:
 
 
 def _shortened(text: str, longest: int) -> str:
-    """Shorten a text that is too long: at a blank, or within its first word if that is longer itself."""
+    """Return a text in one line, of at most ``longest`` letters: what is longer is cut, at a blank if it can be.
+
+    Dots stand at the end of one that was cut.
+    """
     text = " ".join(text.split())
     if len(text) <= longest:
         return text

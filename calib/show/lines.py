@@ -126,7 +126,10 @@ def deg(value: float, digits: int = 3) -> str:
 
 
 def paragraphs(*paragraphs: Iterable[str]) -> str:
-    """Join paragraphs of lines with empty lines between; indented lines stay as they are."""
+    """Join paragraphs, each of lines, with empty lines between.
+
+    Lines are broken at 100 columns, indented ones stay as they are; paragraphs without lines are left out.
+    """
     texts = []
     for paragraph in paragraphs:
         lines = [line if line.startswith("  ") else fill(line) for line in paragraph]

@@ -27,7 +27,7 @@ def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:
 def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
     """Return the measured positions of the target in the base frame.
 
-    A target in a socket was at the origin of its station's frame. Distances and planes measure no position.
+    A target in a socket was at the origin of its frame. Distances, planes and images measure no position.
 
     Args:
         m: N rows.

@@ -80,7 +80,7 @@ def styled() -> Iterator[None]:
 def picture_bytes(
     figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = 180
 ) -> bytes:
-    """Return a figure as a picture file; the same figure gives the same bytes. Call it within `styled`.
+    """Return the bytes of a figure as a picture file; the same figure gives the same ones. Call it within `styled`.
 
     Args:
         figure: The figure.

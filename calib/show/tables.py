@@ -60,10 +60,10 @@ class Column:
     note: str = ""
 
     def text(self, cell: Cell, *, short: bool = False) -> str:
-        """Write a cell.
+        """Write a cell, a number in the column's unit but without it.
 
         Args:
-            cell: The value; a dash stands for a number that is not finite.
+            cell: The value, a number in SI units; a dash stands for a number that is not finite.
             short: Write names short, and counts without separators, as a terminal has them.
         """
         if isinstance(cell, str):

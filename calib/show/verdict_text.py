@@ -321,7 +321,10 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _percent(share: float) -> str:
-    """Format a share as a number of percent: whole, or with one significant digit below 1 %, of 0.01 % at least."""
+    """Format a share, 1 for all, as percent without the sign: whole, or with one significant digit below 1 %.
+
+    Shares too small for that are ``less than`` the smallest percentage that is shown.
+    """
     percent = 100.0 * share
     if percent == 0.0 or abs(percent) >= 1.0:
         return f"{percent:.0f}"
@@ -349,7 +352,10 @@ def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]
 
 
 def _ranges(values: Mapping[str, Any]) -> str:
-    """List the joints that moved in a part of their range, with that part; empty for other reasons."""
+    """List the joints that moved in a part of their range, with the limits [deg or mm] and that part in %.
+
+    Empty for the values of other reasons.
+    """
     if isinstance(values.get("joints"), str) or "shares" not in values:
         return ""
     columns = [values[name] for name in ("joints", "shares", "lows", "highs", "slides")]
@@ -398,7 +404,10 @@ class _Units(string.Formatter):
     """Formats numbers in SI units in the unit that stands before their format: ``{noise_m:mm.3f}``."""
 
     def format_field(self, value: Any, format_spec: str) -> Any:  # noqa: ANN401
-        """Format a value; without a unit as Python does."""
+        """Format a value in SI units by a unit and Python's format, ``mm.3f``, without writing the unit.
+
+        The units are mm, deg, and % of a share; without one, as Python does.
+        """
         for unit, factor in (("mm", 1e3), ("deg", _DEG), ("%", 100.0)):
             if format_spec.startswith(unit):
                 return format(factor * value, format_spec.removeprefix(unit))

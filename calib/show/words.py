@@ -65,7 +65,10 @@ def outside_text(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
 
 
 def combination_text(combination: Combination) -> str:
-    """Word a combination of parameters that change together, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
+    """Word a combination of parameters that change together, such as ``d2 and d4 together (+1 mm, -1 mm)``.
+
+    A single one is ``d2 at all``; of many only the first names and the number of the others are given, without amounts.
+    """
     names = combination.names
     if len(names) == 1:
         return f"{names[0]} at all"
@@ -143,8 +146,9 @@ def before_and_after(c: Calibration) -> tuple[str, Errors, Errors]:
         c: The result.
 
     Returns:
-        The rows that they are of, ``"held-out"`` (without outliers), ``"validation"`` or ``"fitted"`` (all of them);
-        and the errors of both robots, of the geometry alone. Those of the nominal robot may be NaN.
+        The rows that they are of, ``"held-out"`` (without outliers), else ``"validation"``, else ``"fitted"`` (of these
+        two all rows, outliers too); and the errors of the nominal, then of the calibrated robot, of the geometry alone.
+        Those of the nominal robot may be NaN.
     """
     before, after = c.trust.nominal_cross_validation, c.cross_validation
     if before is not None and after is not None:

@@ -132,5 +132,5 @@ def _base64(data: bytes) -> str:
 
 
 def floats(values: ArrayLike) -> str:
-    """Return numbers as base64 of little-endian float32, in C order."""
+    """Return numbers, an array of any shape, as base64 of little-endian float32, in C order."""
     return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())

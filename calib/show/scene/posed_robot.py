@@ -219,7 +219,7 @@ def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
 
     Args:
         robot: The robot.
-        q: shape (N, m), joint values [rad or m].
+        q: shape (N, m), joint readings [rad or m], in the order of `Robot.joint_names`.
 
     Returns:
         T_root_link by the link's name, shape (N, 4, 4), [m].

@@ -114,7 +114,7 @@ def camera_direction(points: Array, side_view: float = _SIDE_VIEW) -> Array:
     """Choose the side from which an arm is seen: it reaches to the right and a little towards the camera.
 
     Args:
-        points: shape (K, 3), joints of the arm from the base to the tip.
+        points: shape (K, 3), [m], joints of the arm from the base to the tip; only the first and the last count.
         side_view: Angle between the arm and the direction to the camera, seen from above [rad].
 
     Returns:
@@ -131,8 +131,8 @@ def look_at(
     """Place a camera as near as possible so that it sees all points clear of the text, on a 16:9 screen.
 
     Args:
-        points: shape (N, 3), [m].
-        towards_camera: shape (3,), horizontal unit vector from the scene to the camera.
+        points: shape (N, 3), [m], z up.
+        towards_camera: shape (3,), horizontal unit vector from the scene to the camera, which looks down a little.
         between: Upper end of the text at the foot and lower end of the heading; the picture is from -1 to 1.
     """
     low, high = between
@@ -425,7 +425,7 @@ class Dots(NamedTuple):
 
 
 def draw_dots(scene: meshcat.Visualizer, sets: Sequence[Dots], radius: float) -> list[LegendEntry]:
-    """Draw each set that has points, as balls of a radius [m]; return the entries of the legend."""
+    """Draw each set that has points, as balls of a radius [m], or dots if many; return their legend entries."""
     keys = []
     for dots in sets:
         if len(dots.points):

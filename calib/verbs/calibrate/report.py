@@ -77,7 +77,7 @@ def summary(c: Calibration) -> str:
 
 
 def calibration_html(c: Calibration) -> str:
-    """Draw the excerpt of a calibration for a notebook."""
+    """Draw the excerpt of a calibration for a notebook, as an element of HTML."""
     return notebook_html(report(c))
 
 
@@ -117,7 +117,7 @@ def report(
     Args:
         c: The result. Sections for HTML need its measurements and its solved problem in memory.
         command: The command line that made it; empty if there was none.
-        columns: The columns of the tables of errors.
+        columns: The columns of the tables of errors: largest, mean, rms and spans unless given.
     """
     date = report_date()
     figures = partial(_figures, c)
@@ -151,7 +151,7 @@ def report(
 
 
 def _first_page(c: Calibration, columns: Sequence[ErrorColumn]) -> Block:
-    """Make the first page of the report: verdict, record, robot, noise, errors before and after, signatures."""
+    """Make the first page of the report: verdict, record, robot, noise, errors before, after, room for signatures."""
     images = c.rows.count_images(c.rows.estimation)
     if images:
         corners = plural(int(np.sum(c.rows.estimation)), "corner")
@@ -187,7 +187,7 @@ def _rows_text(m: Measurements) -> str:
 
 
 def _head(c: Calibration) -> Iterator[Block]:
-    """Name the robot, count the measured rows, and say which DH rows it was made from and how readings are coupled."""
+    """Name the robot, count the measured rows, and name the DH rows that it was made from and coupled readings."""
     rows = rows_sentence(c.nominal)
     yield Paragraph(
         f"calib {__version__}: robot {chain_name(c.nominal)}, {len(c.nominal.joints)} joints; "
@@ -198,7 +198,10 @@ def _head(c: Calibration) -> Iterator[Block]:
 
 
 def _excerpt(c: Calibration, columns: Sequence[ErrorColumn]) -> Iterator[Block]:
-    """Show the verdict with its first reason, errors before and after, model and rows."""
+    """Show the verdict with its first reason, errors before and after, the model, and the numbers of rows and outliers.
+
+    If there is a non-geometric model, its rms error on held-out rows without outliers, too.
+    """
     verdict = _verdict(c)
     yield Paragraph(f"Calibration of {chain_name(c.nominal)}")
     yield replace(verdict, reasons=verdict.reasons[:1])
@@ -214,14 +217,17 @@ def _excerpt(c: Calibration, columns: Sequence[ErrorColumn]) -> Iterator[Block]:
 
 
 def _verdict(c: Calibration) -> Verdict:
-    """Word the verdict and its reasons."""
+    """Word the verdict on the corrected robot and its reasons; ``"none"`` if nothing was cross-validated."""
     if c.verdict is None:
         return Verdict("none", ["Nothing was cross-validated, so there is no verdict."])
     return Verdict(c.verdict.use, [reason_text(reason) for reason in c.verdict.reasons])
 
 
 def _accuracy(c: Calibration, columns: Sequence[ErrorColumn]) -> Iterator[Block]:
-    """Tabulate the errors of sets of rows in each unit that was measured."""
+    """Tabulate the errors of sets of rows in each unit that was measured, and of images at the board.
+
+    If all errors in pixels are of images, HTML has them in one table with those at the board, a terminal in two.
+    """
     text = (
         "An error is the residual, measured minus predicted; its size is the norm. Nominal: the robot as given, with "
         "the measurement frame and the target as given, or registered on the nominal robot if they were not. "
@@ -294,7 +300,7 @@ def _rows_and_places(c: Calibration) -> Iterator[Block]:
 
 
 def _evidence_note(c: Calibration) -> Iterator[Block]:
-    """Explain the evidence of the models that were tried."""
+    """Explain the column "evidence" of the table of models; nothing if no models were tried."""
     if c.method.candidates:
         note = "evidence: penalised restricted log-likelihood, relative to the best model"
         yield Bullets([note], indent="  ", tight=True)
@@ -309,7 +315,7 @@ def _facts(c: Calibration) -> Iterator[Block]:
 
 
 def _parameters_in_words(c: Calibration) -> Iterator[Block]:
-    """Explain the tables of the parameters."""
+    """Explain the tables of the parameters: number, rows that they are from, intervals, and the last column."""
     text = (
         f"{len(c.parameters)} parameters of the model '{c.model.name}' were estimated from "
         f"{c.rows.estimation.sum():,} estimation rows"
@@ -449,7 +455,7 @@ def _method(c: Calibration) -> Iterator[Block]:
 
 
 def _files(c: Calibration, command: str, date: str) -> Block:
-    """List the files with their hashes, the versions and the command."""
+    """List the files with their hashes, the versions, the command ("": none) and the report's date, given in words."""
     m = c.fit.measurements
     return Facts(
         [
@@ -504,6 +510,6 @@ def bootstrap_text(c: Calibration, bootstrap: Bootstrap) -> str:
 
 
 def profile_text(profiles: Sequence[tuple[ParameterEstimate, Profile]]) -> str:
-    """Write intervals by the profile of the cost beside those of the covariance."""
+    """Write the 95 % intervals of parameters by the profile of the cost beside those by the covariance, as text."""
     rows = [(estimate, profile.low, profile.high) for estimate, profile in profiles]
     return blocks_text([Paragraph("Profile of the cost"), tables.intervals("profile", rows)])

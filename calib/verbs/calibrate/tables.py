@@ -105,7 +105,10 @@ def errors_at_board(c: Calibration) -> dict[str, Errors]:
 
 
 def image_errors(c: Calibration, columns: Sequence[ErrorColumn] = ERROR_COLUMNS) -> Table:
-    """Tabulate the errors of each set of rows in the image, and beside them at the board; no rows without images."""
+    """Tabulate, for HTML, the errors of each set of rows in the image [px], and beside them at the board [mm].
+
+    The columns are those of ``columns`` that are not optional. Without images there are no rows.
+    """
     at_board = errors_at_board(c)
     nothing = Errors({})
     sizes = sizes_of_errors(columns)
@@ -197,11 +200,11 @@ def before_and_after(c: Calibration, columns: Sequence[ErrorColumn] = ERROR_COLU
 
 
 def validation_rows(c: Calibration) -> Table:
-    """Tabulate the errors of single validation rows before and after calibration.
+    """Tabulate, for HTML, the errors of single validation rows before and after calibration.
 
     Residuals along the axes of the measurement frame, measured minus predicted, and their norm [mm]; of orientations
-    the angle [deg]. Of more than `MOST_LISTED` rows the `MOST_WORST` with the largest errors after calibration are
-    listed, in the order of the table of measurements.
+    the angle [deg], of images the norm [px]. Of more than `MOST_LISTED` rows the `MOST_WORST` with the largest errors
+    after calibration are listed, in the order of the table of measurements.
     """
     channels = c.rows.channels
     before_after = (
@@ -243,9 +246,9 @@ def validation_rows(c: Calibration) -> Table:
 
 
 def flagged(c: Calibration) -> Table:
-    """Tabulate the flagged rows of either set: errors before and after, score, and weight in the fit.
+    """Tabulate, for HTML, the flagged rows of either set: errors before and after, score, and weight in the fit.
 
-    Errors are in the first unit that was measured.
+    Errors are norms in the first unit that was measured; the score is in standard deviations.
     """
     outliers = [*c.rows.outliers, *c.rows.suspects]
     index_of = {row: i for i, row in enumerate(c.rows.numbers)}
@@ -302,7 +305,7 @@ def _row_names(
 
 
 def parameters(c: Calibration) -> Table:
-    """Tabulate the parameters with half their 95 % intervals, each in the unit in which it is shown.
+    """Tabulate, for a terminal, the parameters with half their 95 % intervals, each in the unit in which it is shown.
 
     A star marks those known in combination with others only, a hash those kept nominal, whose family has no errors.
     """
@@ -333,7 +336,7 @@ def parameters(c: Calibration) -> Table:
 
 
 def parameters_in(c: Calibration, unit: str) -> Table:
-    """Tabulate nominal value, calibrated value, correction and 95 % interval of the parameters of one unit.
+    """Tabulate, for HTML, nominal and calibrated value, correction and half the 95 % interval of some parameters.
 
     Args:
         c: The result.
@@ -393,7 +396,11 @@ def non_geometric(c: Calibration) -> Table:
 
 
 def dh(c: Calibration) -> Table:
-    """Tabulate the standard DH rows of the nominal and of the calibrated robot, and their differences."""
+    """Tabulate, for HTML, the DH rows of the nominal and of the calibrated robot, and their differences [mm, deg].
+
+    They are standard ones, Hayati's between nearly parallel axes; where the robots' rows differ in that, dashes stand
+    for the differences.
+    """
     before = dh_table(c.nominal).rows
     after = dh_table(c.robot, like=c.nominal).rows
     tilted = any(row.near_parallel for row in (*before, *after))
@@ -458,7 +465,10 @@ def origins(c: Calibration) -> Table:
 
 
 def ranges(c: Calibration) -> Table:
-    """Tabulate the joint values of the estimation rows beside the joint limits, [deg] or [mm]."""
+    """Tabulate, for HTML, the range of each measured joint in the estimation rows beside its limits, [deg] or [mm].
+
+    Dashes stand for limits that it does not have, and for the share of the range between them.
+    """
     m = c.fit.measurements
     q = m.joints_for(c.nominal.joint_names)[m.estimation]
     values_of_joints = c.nominal.input_values(q).T
@@ -495,7 +505,10 @@ def ranges(c: Calibration) -> Table:
 
 
 def models(c: Calibration) -> Table:
-    """Tabulate the models that were tried: evidence relative to the best, held-out error, what they were chosen for."""
+    """Tabulate, for a terminal, the models that were tried: evidence relative to the best, rms error, and use.
+
+    The rms error is that on held-out rows without outliers, in the first unit that was measured.
+    """
     candidates = c.method.candidates
     best = max((candidate.evidence for candidate in candidates), default=0.0)
     uses = {"geometry": "the URDF", "non_geometric": "predict()"}

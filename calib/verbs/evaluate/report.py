@@ -75,14 +75,17 @@ def evaluation_text(e: Evaluation) -> str:
 
 
 def evaluation_html(e: Evaluation) -> str:
-    """Draw the excerpt of the evaluation of one robot for a notebook."""
+    """Draw the excerpt of the evaluation of one robot for a notebook, as an element of HTML."""
     return notebook_html(report(Assessment.of_one(e)))
 
 
 def write_evaluation_report(
     evaluation: Evaluation, accepted: Acceptance | None, path: str | Path, *, overwrite: bool
 ) -> Path:
-    """Write the report of one evaluation, and of its acceptance unless None; see `Evaluation.write_report`."""
+    """Write the report of one evaluation, with the outcome of its acceptance unless None, as one HTML page.
+
+    ArgumentError if ``accepted`` is of another type; FileError as of `write_report`. Return the file's path.
+    """
     check_type("accepted", accepted, (Acceptance, type(None)), "of calib.acceptance, or None")
     return write_report(Assessment.of_one(evaluation, accepted), path, overwrite=overwrite)
 
@@ -111,12 +114,12 @@ def write_report(
 def report(
     e: Assessment, origins: Origins = _NO_FILES, columns: Sequence[ErrorColumn] = ERROR_COLUMNS
 ) -> Page:
-    """List the sections that show an evaluation, each with the places where it is shown.
+    """List the sections that show an evaluation, each with its media: terminal and HTML unless it says otherwise.
 
     Args:
         e: The evaluation.
         origins: Its sources.
-        columns: The columns of the tables of errors.
+        columns: The columns of the tables of errors: largest, mean, rms and spans unless given.
     """
     date = report_date()
     robot = e.evaluations["urdf"].robot
@@ -184,7 +187,10 @@ def _verdict(e: Assessment, result_name: str) -> Verdict:
 
 
 def _images(e: Assessment) -> Iterator[Block]:
-    """Tabulate the errors of images, and count images and corners; no rows and no count without images."""
+    """Tabulate the errors of images, in px and in mm at the board, and count images and corners; none without any.
+
+    The count is of the robot of the URDF; all robots are compared with the same images.
+    """
     yield tables.image_errors(e)
     # All robots are compared with the same images.
     counted = e.evaluations["urdf"].images
@@ -223,7 +229,7 @@ def _measurements(e: Assessment) -> Block:
 
 
 def _registered(e: Assessment) -> Iterator[Block]:
-    """Count the rows, and name what was registered to them."""
+    """Count the rows of the evaluation, and name what was registered to them: target, frame; empty if nothing was."""
     evaluation = e.evaluations["urdf"]
     registered = " and ".join(evaluation.registered)
     yield Facts(

@@ -80,7 +80,7 @@ def errors(
     Args:
         e: The evaluation.
         result: Name of the result's file.
-        columns: The columns after the number of rows.
+        columns: The columns after the number of rows: largest, mean, rms and spans unless given.
     """
     channels = e.evaluations["urdf"].channels
     for unit in channels.present:
@@ -102,7 +102,10 @@ def errors(
 
 
 def image_errors(e: Assessment) -> Table:
-    """Tabulate the errors of images in px and at the board in mm, a row for each robot; no rows without images."""
+    """Tabulate the mean, 95 % and largest error of images in px, its bias, and the first three in mm at the board.
+
+    There is a row for each robot; none without images.
+    """
     rows: list[Row] = []
     for who, evaluation in e.evaluations.items():
         i = evaluation.images
@@ -192,7 +195,7 @@ def characteristics(found: Sequence[Characteristic], robot: str, on: Medium) -> 
 
 
 def missing(found: Sequence[Characteristic]) -> list[str]:
-    """Word what is missing for the characteristics that the rows do not have: ``"dAP, dRP n/a: needs ..."``."""
+    """Word what the rows lack for the characteristics of ISO 9283 that are missing: ``"dAP, dRP n/a: needs ..."``."""
     present = {one.symbol for one in found if one.count}
     symbols_by_need: dict[str, list[str]] = {}
     for symbol, (_, _, needed) in _CHARACTERISTICS.items():
@@ -206,7 +209,8 @@ def missing(found: Sequence[Characteristic]) -> list[str]:
 def poses(e: Assessment, robot: str) -> Table:
     """Tabulate the poses of the judged robot, the worst first.
 
-    With an acceptance the worst pose uses most of its tolerance, otherwise it has the largest AP.
+    With an acceptance the worst pose uses most of its tolerance, and a terminal has the table, too; otherwise it has
+    the largest AP in the first unit that was measured, and the table is for HTML alone.
 
     Args:
         e: The evaluation.
@@ -296,7 +300,7 @@ def before_and_after(e: Assessment) -> Table:
 
 
 def checks(e: Assessment) -> Table:
-    """Tabulate the figure compared with each tolerance, factor, uncertainty, the sum that decides, and the outcome.
+    """Tabulate, for HTML, the figure compared with each tolerance, factor, uncertainty, deciding sum, and outcome.
 
     Without a tolerance there are no rows.
     """
@@ -325,7 +329,10 @@ def _measured_in(unit: str) -> str:
 
 
 def _check_cells(a: Acceptance, unit: str) -> list[str]:
-    """Write uncertainty (a dash if none was stated), the sum that decides, tolerance and outcome of the check."""
+    """Write uncertainty (a dash if none was stated), deciding sum, tolerance and outcome of the check in a unit.
+
+    Sizes are in the unit that it is shown in, such as mm for ``"m"``, without it.
+    """
     check = a.checks[unit]
     uncertainty = shown(check.uncertainty, unit) if check.uncertainty > 0.0 else "-"
     sizes = [shown(value, unit) for value in (decisive_sum(check), check.tolerance)]
