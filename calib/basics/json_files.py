@@ -17,6 +17,7 @@ from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.basics.files import read_bytes
 from calib.basics.records import json_key
@@ -208,8 +209,10 @@ class JsonLayout:
         parameters = get_args(hint)
         if origin in (Union, UnionType):
             return None if entry is None else self.read(parameters[0], entry)
-        if origin is np.ndarray:
-            array = np.array(entry, dtype=get_args(parameters[1])[0])
+        if origin is np.ndarray or origin is NDArray:
+            # From NumPy 2.5 on the alias has the type of the entries itself, not inside that of an array.
+            dtype = parameters[0] if origin is NDArray else get_args(parameters[1])[0]
+            array = np.array(entry, dtype=dtype)
             array.setflags(write=False)
             return array
         if origin is tuple:
