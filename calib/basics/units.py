@@ -113,7 +113,7 @@ def find_unit(symbol: str) -> Unit:
 
 
 def split_header(text: str) -> tuple[str, str | None]:
-    """Split a column header into its name and the unit's symbol in its last square brackets; None without brackets."""
+    """Split a column header into its name and the unit's symbol in square brackets at its end; None if none end it."""
     match = _HEADER.fullmatch(text.strip())
     if match is None:
         return text.strip(), None

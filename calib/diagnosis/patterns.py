@@ -231,8 +231,8 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
     """Find the row from which on the residuals are displaced.
 
     Args:
-        stack: The whitened scalars.
-        rows: Numbers, from 0, of the rows among which to look, in their order, shape (K,).
+        stack: The M whitened scalars of N rows.
+        rows: Numbers, from 0 to N - 1, of the rows among which to look, ascending, shape (K,).
         along: Whitened derivatives of the scalars by the displacement, shape (M, k).
 
     Returns:

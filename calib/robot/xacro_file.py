@@ -136,7 +136,7 @@ class _Arguments(dict[str, str]):
 
 
 def _main(path: str, *words: str) -> str | None:
-    """Flatten a file, with ``NAME:=VALUE`` words, to standard output; return a line about the fault, None without."""
+    """Flatten a file, with words ``NAME:=VALUE`` that are not checked, to standard output; return a fault's line, or None."""
     import xacro
 
     index: Any = types.ModuleType("ament_index_python.packages")  # all that xacro asks of ROS

@@ -130,7 +130,7 @@ def with_origins(robot: Robot, origins: Mapping[str, JointOrigin]) -> Robot:
 
 
 def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write the origins of a robot as YAML.
+    """Write as YAML the origins of the URDF joints that carry the chain's placements, as `origins_of` returns them.
 
     The file is read back and compared before it appears.
 

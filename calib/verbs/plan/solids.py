@@ -188,7 +188,7 @@ def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
     parents = {joint.child: joint.parent for joint in joints}
 
     def top(link: str) -> str:
-        """Return the topmost link to which a link is held."""
+        """Return the topmost link of a link's group: up through the joints that hold it, so seldom the URDF's root."""
         topmost = link
         while topmost in parents:
             topmost = parents[topmost]
