@@ -55,7 +55,7 @@ class Limits:
 
     @classmethod
     def of(cls, rows: ArrayLike, freedom: ArrayLike) -> Limits:
-        """Compute the limits of scores, as `point_scores` returns them for rows of any kind, by quantiles of F(3, freedom).
+        """Compute the limits of scores, as `point_scores` returns them for any rows, by quantiles of F(3, freedom).
 
         Args:
             rows: Number of rows, one number or shape (B, 1): the more rows, the rarer must be a false alarm of each.

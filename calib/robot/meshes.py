@@ -51,7 +51,7 @@ class LinkShape:
 
     @property
     def mesh(self) -> tuple[str, tuple[float, float, float]] | None:
-        """The file name of a mesh and its scale along x, y, z, 1 each if missing or unreadable; None for other geometry."""
+        """The file name of a mesh and its scale along x, y, z, 1 if missing or unreadable; None if it is no mesh."""
         if self.geometry.tag != "mesh":
             return None
         scale = parse_vector(self.geometry.get("scale"), (1.0, 1.0, 1.0))
