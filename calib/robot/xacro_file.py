@@ -136,7 +136,7 @@ class _Arguments(dict[str, str]):
 
 
 def _main(path: str, *words: str) -> str | None:
-    """Flatten a file, with unchecked words ``NAME:=VALUE``, to standard output; return a line about a fault, or None."""
+    """Flatten a file, with unchecked words ``NAME:=VALUE``, to standard output; return a line on a fault, or None."""
     import xacro
 
     index: Any = types.ModuleType("ament_index_python.packages")  # all that xacro asks of ROS
