@@ -144,12 +144,11 @@ class Instrument(Value, ABC):
             unit: Random numbers between 0 and 1, shape (n, `VIEWPOINT_NUMBERS`).
 
         Returns:
-            T_instrument_target, shape (n, 4, 4), or fewer, [m].
-
-        Raises:
-            NotImplementedError: The instrument sees its target at most poses: `VIEWPOINT_NUMBERS` is 0.
+            T_instrument_target, shape (n, 4, 4), or fewer, [m]; none if the instrument sees its target at most poses
+            anyway: `VIEWPOINT_NUMBERS` is 0.
         """
-        raise NotImplementedError
+        del unit
+        return np.zeros((0, 4, 4))
 
     @abstractmethod
     def noise(self, distance: Array) -> Array:

@@ -66,6 +66,14 @@ def test_an_instrument_whose_place_is_not_known_sees_everything():
     assert list(instrument.sees([])) == []
 
 
+def test_a_tracker_has_no_viewpoints():
+    """Random joint values do: it is not brought before the target, as a camera is."""
+    instrument = TrackerInstrument.of(Cell())
+    numbers = instrument.VIEWPOINT_NUMBERS
+    assert numbers == 0
+    assert instrument.viewpoints(np.zeros((5, numbers))).shape == (0, 4, 4)
+
+
 def test_the_noise_is_the_cells_or_the_trackers_or_a_usual_one():
     noise = TrackerNoise(10e-6, 50e-6, 1e-6)
     tracker = Tracker((2.5, 0, 0), noise=noise)
