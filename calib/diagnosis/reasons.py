@@ -85,6 +85,14 @@ class Why(str, Enum):
     ORIENTATIONS_JOINT_ZERO = "orientations_joint_zero", Role.WRONG_INPUT
     CAMERA_ON_OTHER_LINK = "camera_on_other_link", Role.WRONG_INPUT
 
+    # A mistake in DH rows explains the rows of the table
+    DH_CELLS = "dh_cells", Role.WRONG_INPUT
+    DH_ROWS_EXCHANGED = "dh_rows_exchanged", Role.WRONG_INPUT
+    DH_NUMBERS_EXCHANGED = "dh_numbers_exchanged", Role.WRONG_INPUT
+    DH_CONVENTION = "dh_convention", Role.WRONG_INPUT
+    DH_VARIANT = "dh_variant", Role.WRONG_INPUT
+    DH_UNIT = "dh_unit", Role.WRONG_INPUT
+
     # A frame was sought and not found
     FRAME_NOT_FOUND = "frame_not_found", Role.WRONG_INPUT
 

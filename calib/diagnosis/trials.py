@@ -48,11 +48,11 @@ TOLERANCE = 1e-6
 # Rows and their errors
 
 
-def misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
-    """Register what the setup leaves unknown, and return the errors of the robot then.
+def misfit(T_base_tip: Array, setup: Setup, rows: Rows) -> tuple[float, float]:
+    """Register what the setup leaves unknown, and return the errors of a robot then.
 
     Args:
-        robot: The robot.
+        T_base_tip: Pose of its tip at each of the N rows, shape (N, 4, 4) [m].
         setup: Frames and targets, with what is registered.
         rows: Rows of points or poses.
 
@@ -60,7 +60,6 @@ def misfit(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, float]:
         The rms error of positions [m], the norm of three scalars, and of orientations [rad]; the latter is NaN for
         points.
     """
-    T_base_tip = robot.poses(rows.joints)
     registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
     errors = Errors.of(rows.residual(registered.sightings(T_base_tip, rows.samples)), rows.channels)
     return errors["m"].rms, errors["rad"].rms

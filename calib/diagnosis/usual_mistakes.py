@@ -14,9 +14,16 @@ from typing import Any
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
+from calib.diagnosis.dh_cells import (
+    find_wrong_cell,
+    likely_rows,
+    rows_of_fitting_lengths,
+    stated_rows,
+)
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.trials import (
     TOLERANCE,
@@ -37,6 +44,8 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.parameter_sets import DIRECTIONS
+from calib.robot.dh_file import lines_of_joints
+from calib.robot.dh_rows import DHRobot
 from calib.robot.robot import Robot
 
 #: Nominal errors below this need no other explanation than an uncalibrated arm [m].
@@ -113,8 +122,8 @@ class Trial:
 
     #: Factor on the trial's error when trials are ranked; the freer the trial, the larger
     factor: float
-    #: The nominal robot, perhaps with another base or tip
-    robot: Robot
+    #: Pose of the tip in the base at each row, shape (N, 4, 4) [m]
+    T_base_tip: Array
     #: Frames and targets, with what is registered again
     setup: Setup
     #: The rows, as points
@@ -123,6 +132,8 @@ class Trial:
     why: Why
     #: Numbers and names of its reason, errors aside
     values: dict[str, Any] = field(default_factory=dict)
+    #: The rows with their orientations; None: they are all those of the table
+    poses: Rows | None = None
 
 
 def check_positions(robot: Robot, rows: Rows, source: str) -> None:
@@ -216,7 +227,10 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     cell = replace(cell, targets=targets, frames=frames)
     poses, setup = rows_and_setup(robot, table, cell)
     rows = _as_points(poses)
-    given, _ = misfit(robot, setup, rows)
+    wrong_cell = find_wrong_cell(robot, setup, poses)
+    if wrong_cell is not None:
+        return wrong_cell
+    given, _ = misfit(robot.poses(rows.joints), setup, rows)
     if given < _PLAUSIBLE:
         return _orientation_mistake(robot, setup, poses)
 
@@ -229,28 +243,28 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
     for trials in searches:
         explanations = []
         for trial in trials:
-            error, _ = misfit(trial.robot, trial.setup, trial.rows)
+            error, _ = misfit(trial.T_base_tip, trial.setup, trial.rows)
             weighted = trial.factor * error
-            if error <= _EXPLAINED and weighted <= _FAR_BETTER * given:
+            explains = error <= _EXPLAINED and weighted <= _FAR_BETTER * given
+            if explains and not _contradicts_orientations(trial, poses):
                 reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
-                explanations.append((_contradicts_orientations(trial, poses), weighted, reason))
+                explanations.append((weighted, reason))
         if explanations:
             return _choose(explanations)
     return None
 
 
-def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
+def _choose(explanations: Sequence[tuple[float, Reason]]) -> Reason:
     """Choose the explanation of the smallest weighted error, with those that the rows cannot tell from it.
 
-    Each states whether the orientations of the rows speak against it, its weighted error [m], and the mistake. The
-    value ``"others"`` lists codes and values of those as good, without the error as given, which all share.
+    Each states its weighted error [m] and the mistake. The value ``"others"`` lists codes and values of those as good,
+    without the error as given, which all share.
     """
-    best, *others = sorted(explanations, key=lambda explanation: explanation[:2])
-    contradicted, _, reason = best
+    (_, reason), *others = sorted(explanations, key=lambda explanation: explanation[0])
     limit = _AS_GOOD * reason.values["error_m"] + _ROUNDING
     as_good = []
-    for other_contradicted, _, other in others:
-        if other.values["error_m"] <= limit and other_contradicted == contradicted:
+    for _, other in others:
+        if other.values["error_m"] <= limit:
             values = {name: value for name, value in other.values.items() if name != "given_m"}
             as_good.append({"code": other.code, **values})
     if not as_good:
@@ -259,17 +273,23 @@ def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
 
 
 def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
-    """Return whether the orientations of the rows speak against a trial of other joint values.
+    """Return whether the orientations of the rows speak against a trial, in whatever convention they were read.
 
-    False for a trial that changes the rows' points instead, and if some rows (``poses``) have no orientation.
+    False for a trial that changes the rows' points, and if some rows (``poses``) have no orientation.
     """
-    is_of_joints = trial.rows.measured.shape[0] == poses.measured.shape[0] and np.array_equal(
-        trial.rows.measured, poses.measured[:, :3]
-    )
-    if not is_of_joints or not np.all(poses.where(lambda kind: kind.orientation)):
+    of_trial = trial.poses or poses
+    if len(of_trial) != len(trial.rows):
         return False
-    _, angle = misfit(trial.robot, trial.setup, with_joints(poses, trial.rows.joints))
-    return angle > _PLAUSIBLE_ANGLE
+    if not np.array_equal(trial.rows.measured, of_trial.measured[:, :3]):
+        return False
+    if not np.all(poses.where(lambda kind: kind.orientation)):
+        return False
+    read = [of_trial.measured, *(other for other, _, _ in correct_orientations(of_trial.measured))]
+    return all(
+        misfit(trial.T_base_tip, trial.setup, replace(of_trial, measured=measured))[1]
+        > _PLAUSIBLE_ANGLE
+        for measured in read
+    )
 
 
 def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | None:
@@ -281,7 +301,7 @@ def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | No
     """
     if not np.all(poses.where(lambda kind: kind.orientation)):
         return None
-    _, given = misfit(robot, setup, poses)
+    _, given = misfit(robot.poses(poses.joints), setup, poses)
     if given < _PLAUSIBLE_ANGLE:
         return None
 
@@ -299,7 +319,7 @@ def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | No
 
     best, reason = np.inf, None
     for changed, why, values in trials:
-        position_error, error = misfit(robot, setup, changed)
+        position_error, error = misfit(robot.poses(changed.joints), setup, changed)
         if error < best and position_error < _PLAUSIBLE:
             best = error
             reason = Reason.of(why, given_rad=given, error_rad=error, **values)
@@ -339,8 +359,9 @@ def _trials(
     """
     rows = _as_points(poses)
     free = _with_unknown_targets(setup)
+    T_base_tip = robot.poses(rows.joints)
     if not setup.estimate_target:
-        yield Trial(_PLAIN, robot, free, rows, Why.TARGET_ELSEWHERE)
+        yield Trial(_PLAIN, T_base_tip, free, rows, Why.TARGET_ELSEWHERE)
 
     # Points in the frame of another link that is fixed to the base, or in an unknown frame.
     links = robot.urdf.links
@@ -350,23 +371,35 @@ def _trials(
             between = itertools.chain(*robot.urdf.chain(robot.base, link))
             if link != robot.base and fixed.issuperset(between):
                 other = robot.rebuilt(base=link)
-                yield Trial(_PLAIN, other, free, rows, Why.OTHER_BASE, {"link": link})
+                tips = other.poses(rows.joints)
+                yield Trial(_PLAIN, tips, free, rows, Why.OTHER_BASE, {"link": link})
         if len(rows) >= _FEWEST_ROWS_OF_FRAME:
             unknown = replace(free, unknown=(DIRECTIONS,) * len(setup.groups))
-            yield Trial(_FREE_FRAME, robot, unknown, rows, Why.OWN_FRAME)
+            yield Trial(_FREE_FRAME, T_base_tip, unknown, rows, Why.OWN_FRAME)
+
+    dh = stated_rows(robot, rows.joints)
+    if dh is not None:
+        yield from _trials_of_dh_rows(robot, dh, free, rows)
 
     for joints, why, values in correct_joints(robot, rows.joints):
-        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
+        yield Trial(_ONE_OF_MANY, robot.poses(joints), free, rows, why, values)
 
     # Measurements one row after their joint values, and one before; the first or last row falls away.
-    later = with_joints(rows.select(slice(1, None)), rows.joints[:-1])
-    yield Trial(_ONE_OF_MANY, robot, free, later, Why.ROWS_SHIFTED, {"later": True})
-    earlier = with_joints(rows.select(slice(None, -1)), rows.joints[1:])
-    yield Trial(_ONE_OF_MANY, robot, free, earlier, Why.ROWS_SHIFTED, {"later": False})
+    later = rows.select(slice(1, None))
+    values = {"later": True}
+    poses_later = poses.select(slice(1, None))
+    yield Trial(_ONE_OF_MANY, T_base_tip[:-1], free, later, Why.ROWS_SHIFTED, values, poses_later)
+    earlier = rows.select(slice(None, -1))
+    values = {"later": False}
+    poses_earlier = poses.select(slice(None, -1))
+    yield Trial(
+        _ONE_OF_MANY, T_base_tip[1:], free, earlier, Why.ROWS_SHIFTED, values, poses_earlier
+    )
 
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
     for points, why, values in correct_points(rows.measured, turns=turns):
-        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), why, values)
+        changed = replace(rows, measured=points)
+        yield Trial(_ONE_OF_MANY, T_base_tip, free, changed, why, values)
 
     # Another link carries the target: one for each set of joints that the table has values of.
     tried = {frozenset(robot.joint_names)}
@@ -383,7 +416,8 @@ def _trials(
             continue
         other_poses, other_setup = rows_and_setup(other, table, cell)
         other_free, other_rows = _with_unknown_targets(other_setup), _as_points(other_poses)
-        yield Trial(_FREE, other, other_free, other_rows, Why.OTHER_TIP, {"link": link})
+        tips = other.poses(other_rows.joints)
+        yield Trial(_FREE, tips, other_free, other_rows, Why.OTHER_TIP, {"link": link})
 
     # A joint whose column holds one value, at the values that would explain each row.
     is_constant = np.ptp(rows.joints, axis=0) == 0.0
@@ -392,13 +426,33 @@ def _trials(
         for reach in _REACHES:
             moved = _with_nearest_values(robot, free, moved, joint, reach)
         values = {"joint": robot.joint_names[joint]}
-        yield Trial(_FREE, robot, free, moved, Why.JOINT_CONSTANT, values)
+        tips = robot.poses(moved.joints)
+        yield Trial(_FREE, tips, free, moved, Why.JOINT_CONSTANT, values)
 
     # Poses of the frame in the target.
     if np.all(poses.where(lambda kind: kind.orientation)):
         R = poses.measured[:, 3:12].reshape(-1, 3, 3)
         points = -np.einsum("nji,nj->ni", R, poses.measured[:, :3])
-        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), Why.POSES_INVERSE)
+        inverse = replace(rows, measured=points)
+        yield Trial(_ONE_OF_MANY, T_base_tip, free, inverse, Why.POSES_INVERSE)
+
+
+def _trials_of_dh_rows(robot: Robot, dh: DHRobot, free: Setup, rows: Rows) -> Iterator[Trial]:
+    """Yield trials in which a mistake in the rows that a robot was made from is undone, with the targets of ``free``.
+
+    Senses and zeros of joints are not among them: they are tried for all robots.
+    """
+    names = robot.joint_names
+    lines = lines_of_joints(robot.urdf.path)
+    of_joints = {"direction", "theta", "offset"}
+    likely = itertools.chain(likely_rows(dh), rows_of_fitting_lengths(dh, names, free, rows))
+    for corrected in likely:
+        columns = {cell.column for cell in corrected.cells}
+        if columns and columns <= of_joints:
+            continue
+        factor = _FREE if corrected.free else _ONE_OF_MANY
+        tips = corrected.poses(rows.joints, names)
+        yield Trial(factor, tips, free, rows, corrected.why, corrected.reason_values(lines))
 
 
 def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
@@ -447,9 +501,9 @@ def _turned_joints(
         factor = 1.0 + 0.2 * count
         for joints in itertools.combinations(every, count):
             signs = np.where(np.isin(every, joints), -1.0, 1.0)
-            turned = with_joints(rows, rows.joints * signs)
+            tips = robot.poses(rows.joints * signs)
             values = {"joints": ", ".join(robot.joint_names[i] for i in joints)}
-            yield Trial(factor, robot, free, turned, Why.JOINTS_TURNED, values)
+            yield Trial(factor, tips, free, rows, Why.JOINTS_TURNED, values)
 
 
 # Senses of joints in images

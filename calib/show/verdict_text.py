@@ -24,6 +24,7 @@ _OFF = (
     "The nominal robot is {given_m:mm.0f} mm rms off, far more than an uncalibrated arm, but only "
     "{error_m:mm.1f} mm if "
 )
+_ROWS_OFF = "The robot of the DH rows misses the measured poses by {given_off} rms, but only by {error_off} if "
 _TURNED = (
     "The nominal robot's orientations are {given_rad:deg.0f} deg rms off, but only "
     "{error_rad:deg.1f} deg if "
@@ -44,7 +45,9 @@ _COMPENSATE = "send compensated commands (calib compensate with the result file)
 
 #: The sentence of each code; a number is written as ``{name:unit.digits}``.
 SENTENCES = {
-    Why.TARGET_ELSEWHERE: _OFF + "the target is estimated from the data: omit --fix-target.",
+    Why.TARGET_ELSEWHERE: _OFF
+    + "the target is not held where it was given: check its position and its tip, or leave it to be estimated (omit "
+    "--fix-target; with calib evaluate omit --target).",
     Why.WRONG_UNIT: _OFF
     + "the {what} are in {unit}, although the header says {header}: correct the header.",
     Why.OTHER_BASE: _OFF + "the points are in the frame of '{link}': try --base {link}.",
@@ -77,6 +80,17 @@ SENTENCES = {
     + "the sign of '{joint}' is reversed: check the positive direction.",
     Why.ORIENTATIONS_JOINT_ZERO: _TURNED
     + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
+    Why.DH_CELLS: _ROWS_OFF + "{dh_cells}.{dh_elsewhere}",
+    Why.DH_ROWS_EXCHANGED: _ROWS_OFF
+    + "the lines of '{first}' and '{second}' are exchanged: put them into the order of the axes.",
+    Why.DH_NUMBERS_EXCHANGED: _ROWS_OFF
+    + "the numbers in the rows of '{first}' and '{second}' are exchanged, joint names and limits as they are.",
+    Why.DH_CONVENTION: _ROWS_OFF
+    + "their convention is '{convention}', not '{stated}': state it in the file (# convention: {convention}), with "
+    "headings that fit.",
+    Why.DH_VARIANT: _ROWS_OFF + "the arm is a {arm}: give its lengths d and a.",
+    Why.DH_UNIT: _ROWS_OFF
+    + "the {what} are in {unit}, although the heading says {header}: correct the heading.",
     Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the errors "
     "stay larger than those of any uncalibrated arm, so the nominal robot cannot be judged. "
     "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "
@@ -224,6 +238,16 @@ SENTENCES = {
     + "target is registered again: was it remounted? Then give its position with --target.",
 }
 
+#: Second sentence on a cell at an end of the chain, by the pose that it cannot be told from.
+_DH_ELSEWHERE = {
+    "": "",
+    "base": " The controller's base frame, or the line 'base', would have the same effect.",
+    "tool": " A tool that the controller adds, or the line 'tool', would have the same effect.",
+}
+
+#: A length or angle of a row that is less than this is shown as 0 [mm or deg].
+_DH_DIGIT = 0.005
+
 #: Second sentence of a reason that much remains, if the non-geometric model leaves far less.
 _BETTER = (
     " The non-geometric model '{model}' leaves {less}. No URDF can represent it: " + _COMPENSATE
@@ -245,8 +269,9 @@ def reason_text(reason: Reason) -> str:
     sentences = [text]
     # Other mistakes that explain the rows as well.
     for other in values.get("others", ()):
-        sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
-        alternative = _Units().vformat(sentence, (), {"given_m": values["given_m"], **other})
+        sentence = SENTENCES[Why[str(other["code"]).upper()]]
+        sentence = sentence.removeprefix(_OFF).removeprefix(_ROWS_OFF)
+        alternative = _Units().vformat(sentence, (), {**other, **_words(other)})
         sentences.append(f"Or else ({mm(other['error_m'], 1)} mm): {alternative}")
     return " ".join(sentences)
 
@@ -298,6 +323,10 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "noise": "".join(sizes_of(values, "noise")[:1]),
         "noise_rough": "".join(sizes_of(values, "noise", ".1f")[:1]),
         "less_noise": "".join(sizes_of(values, "less")[:1]),
+        "given_off": listed(sizes_of(values, "given", ".2f")),
+        "error_off": listed(sizes_of(values, "error", ".2f")),
+        "dh_cells": listed([_dh_cell(cell) for cell in values.get("cells", ())]),
+        "dh_elsewhere": _DH_ELSEWHERE[values.get("elsewhere", "")],
         "within": "".join(sizes_of(values, "within")[:1]),
     }
     if values.get("outliers"):
@@ -318,6 +347,22 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         if "remains" in values:
             words["better"] = _BETTER.format(model=values["model"], less=less)
     return words
+
+
+def _dh_cell(cell: Mapping[str, Any]) -> str:
+    """Word what a cell of DH rows should hold: ``'d' of 'J4' (line 6) is 420 mm instead of 411 mm``."""
+    factor, unit = {"m": (1e3, " mm"), "rad": (_DEG, " deg"), "": (1.0, "")}[cell["unit"]]
+    stated, wanted = (factor * cell[name] for name in ("stated", "wanted"))
+    place = f" (line {cell['line']})" if "line" in cell else ""
+    remark = ""
+    if cell["unit"] == "m" and abs(stated) >= _DH_DIGIT and stated * wanted > 0.0:
+        change = abs(wanted) - abs(stated)
+        size = f"{abs(change):.2f}".rstrip("0").rstrip(".")
+        remark = f" ({size} mm too {'short' if change > 0.0 else 'long'})"
+    was, becomes = (
+        f"{round(value, 2) + 0.0:.2f}".rstrip("0").rstrip(".") + unit for value in (stated, wanted)
+    )
+    return f"'{cell['column']}' of '{cell['joint']}'{place} is {becomes} instead of {was}{remark}"
 
 
 def _percent(share: float) -> str:

@@ -34,7 +34,7 @@ def test_a_known_target_keeps_its_error_and_an_unknown_one_is_registered(ur3: Ro
     for estimate, error in ((False, 0.005), (True, 0.0)):
         cell = Cell(target=read_only(np.zeros(3)), estimate_target=estimate)
         rows, setup = rows_and_setup(ur3, table, cell)
-        position, angle = misfit(ur3, setup, rows)
+        position, angle = misfit(ur3.poses(rows.joints), setup, rows)
         assert position == pytest.approx(error, abs=1e-8)
         assert np.isnan(angle)
 
@@ -46,9 +46,9 @@ def test_orientations_have_their_own_error(ur3: Robot, q):
     )
     cell = Cell(target=read_only(np.zeros(3)), estimate_target=False)
     rows, setup = rows_and_setup(ur3, table, cell)
-    assert misfit(ur3, setup, rows) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert misfit(ur3.poses(rows.joints), setup, rows) == pytest.approx((0.0, 0.0), abs=1e-9)
     turned = with_joints(rows, q + 0.02 * np.eye(6)[5])  # about the axis that the tip lies on
-    assert misfit(ur3, setup, turned) == pytest.approx((0.0, 0.02), abs=1e-9)
+    assert misfit(ur3.poses(turned.joints), setup, turned) == pytest.approx((0.0, 0.02), abs=1e-9)
 
 
 def test_views_as_poses_have_the_boards_poses():

@@ -231,8 +231,8 @@ def test_sixty_rows_evenly_over_a_long_table_are_looked_at(ur3: Robot):
 def test_explanations_as_good_as_the_best_are_named_with_it():
     """Ranked by the weighted error, and told apart by the error itself."""
 
-    def explanation(factor: float, error_m: float, why: Why) -> tuple[bool, float, Reason]:
-        return False, factor * error_m, Reason.of(why, given_m=0.5, error_m=error_m)
+    def explanation(factor: float, error_m: float, why: Why) -> tuple[float, Reason]:
+        return factor * error_m, Reason.of(why, given_m=0.5, error_m=error_m)
 
     best = explanation(1.0, 2e-3, Why.OTHER_BASE)
     as_good = explanation(2.0, 1.9e-3, Why.OWN_FRAME)

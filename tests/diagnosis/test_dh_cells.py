@@ -1,0 +1,253 @@
+"""Spoilt tables of DH rows of an arm that nobody sells: three poses of its controller name the cell that is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.basics.arrays import read_only
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.usual_mistakes import find_usual_mistake
+from calib.robot.robot import Robot
+
+Numbers = tuple[float, ...]
+
+#: theta, d, a, alpha [deg and mm], direction, offset [deg] of the arm that stands there.
+STANDARD: dict[str, Numbers] = {
+    "J1": (0, 431, 62, -90, -1, 0),
+    "J2": (0, 0, 517, 0, 1, -90),
+    "J3": (0, 0, 48, -90, 1, 0),
+    "J4": (0, 463, 0, 90, -1, 0),
+    "J5": (0, 0, 0, -90, 1, 0),
+    "J6": (180, 92, 0, 0, -1, 0),
+}
+
+#: Its rows in Craig's convention: alpha and a are those of the row before.
+MODIFIED: dict[str, Numbers] = {
+    "J1": (0, 431, 0, 0, -1, 0),
+    "J2": (0, 0, 62, -90, 1, -90),
+    "J3": (0, 0, 517, 0, 1, 0),
+    "J4": (0, 463, 48, -90, -1, 0),
+    "J5": (0, 0, 0, 90, 1, 0),
+    "J6": (180, 92, 0, -90, -1, 0),
+}
+
+#: Two joints are counted together, as palletisers do: the reading of J3 counts that of J2.
+COUPLING = {"J3": "1 * J2"}
+
+#: An arm of three parallel axes: its d2 and d3 have the effect of d4.
+PARALLEL: dict[str, Numbers] = {
+    "J1": (0, 181, 0, 90, 1, 0),
+    "J2": (0, 0, -613, 0, 1, 0),
+    "J3": (0, 0, -572, 0, 1, 0),
+    "J4": (0, 174, 0, 90, 1, 0),
+    "J5": (0, 120, 0, -90, 1, 0),
+    "J6": (0, 117, 0, 0, 1, 0),
+}
+
+COLUMNS = ("theta", "d", "a", "alpha", "direction", "offset")
+
+#: Readings off a pendant [deg].
+POSES = (
+    (0, -20, 15, 0, 30, 0),
+    (35, -48, 62, 24, 47, -55),
+    (-72, 31, -28, -63, -81, 108),
+)
+
+
+def table_text(rows: dict[str, Numbers], *, modified: bool = False, coupling: bool = False) -> str:
+    index = "(i-1)" if modified else ""
+    lines = [
+        f"joint,theta [deg],d [mm],a{index} [mm],alpha{index} [deg],direction,offset [deg],coupling"
+    ]
+    for joint, numbers in rows.items():
+        shown = [f"{number:g}" for number in numbers]
+        lines.append(",".join([joint, *shown, COUPLING.get(joint, "") if coupling else ""]))
+    return "\n".join([*lines, ""])
+
+
+def turn(axis: str, angle: float, along: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    if axis == "z":
+        return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, along], [0, 0, 0, 1]])
+    return np.array([[1, 0, 0, along], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
+
+
+def true_poses(rows: dict[str, Numbers], q: np.ndarray, *, modified: bool = False) -> np.ndarray:
+    """T_base_tip of the product written down anew, (N, 4, 4) [m]; q are the joints' values [rad]."""
+    poses = []
+    for values in q:
+        T = np.eye(4)
+        for value, numbers in zip(values, rows.values(), strict=True):
+            theta, d, a, alpha, direction, offset = numbers
+            z = turn("z", np.radians(theta + offset) + direction * value, 1e-3 * d)
+            x = turn("x", np.radians(alpha), 1e-3 * a)
+            T = T @ (x @ z if modified else z @ x)
+        poses.append(T)
+    return np.array(poses)
+
+
+def with_cell(rows: dict[str, Numbers], joint: str, **cells: float) -> dict[str, Numbers]:
+    numbers = dict(zip(COLUMNS, rows[joint], strict=True)) | cells
+    return rows | {joint: tuple(numbers.values())}
+
+
+def exchanged(rows: dict[str, Numbers], first: str, second: str) -> dict[str, Numbers]:
+    """The two lines in each other's place, with their joints."""
+    names = [{first: second, second: first}.get(name, name) for name in rows]
+    return {name: rows[name] for name in names}
+
+
+@dataclass(frozen=True)
+class Spoilt:
+    """A table with a mistake, and how it is told."""
+
+    text: str
+    why: Why
+    #: Joint, column, and the right number [deg or mm], of each wrong cell.
+    cells: tuple[tuple[str, str, float], ...] = ()
+    #: The right rows.
+    true: dict[str, Numbers] | None = None
+    modified: bool = False
+    coupling: bool = False
+
+
+def one(joint: str, column: str, wrong: float, rows: dict[str, Numbers] = STANDARD) -> Spoilt:
+    """One cell is wrong."""
+    right = rows[joint][COLUMNS.index(column)]
+    text = table_text(with_cell(rows, joint, **{column: wrong}))
+    return Spoilt(text, Why.DH_CELLS, ((joint, column, right),), rows)
+
+
+TABLES = {
+    "sign of alpha1": one("J1", "alpha", 90),
+    "sign of alpha3": one("J3", "alpha", 90),
+    "sign of alpha5": one("J5", "alpha", 90),
+    "alpha4 missing": one("J4", "alpha", 0),
+    "sign of a2": one("J2", "a", -517),
+    "a3 missing": one("J3", "a", 0),
+    "a2 of a longer arm": one("J2", "a", 627),
+    "a1 and d1 exchanged": Spoilt(
+        table_text(with_cell(STANDARD, "J1", d=62, a=431)),
+        Why.DH_CELLS,
+        (("J1", "d", 431), ("J1", "a", 62)),
+    ),
+    "sign of d4": one("J4", "d", -463),
+    "d4 9 mm too short": one("J4", "d", 454),
+    "d4 of parallel axes 9 mm too short": one("J4", "d", 165, PARALLEL),
+    "wrong d1": one("J1", "d", 341),
+    "d6 missing": one("J6", "d", 0),
+    # Without another offset in the table theta is the column of zeros.
+    "offset of J2 missing": Spoilt(
+        one("J2", "offset", 0).text, Why.DH_CELLS, (("J2", "theta", -90),)
+    ),
+    "theta of J3 off by 90 deg": one("J3", "theta", 90),
+    "sense of J4": one("J4", "direction", 1),
+    "lines J5 and J6 exchanged": Spoilt(
+        table_text(exchanged(STANDARD, "J5", "J6"), coupling=True),
+        Why.DH_ROWS_EXCHANGED,
+        coupling=True,
+    ),
+    "numbers of J2 and J3 exchanged": Spoilt(
+        table_text(STANDARD | {"J2": STANDARD["J3"], "J3": STANDARD["J2"]}),
+        Why.DH_NUMBERS_EXCHANGED,
+    ),
+    "modified rows read as standard": Spoilt(
+        table_text(MODIFIED), Why.DH_CONVENTION, modified=True, true=MODIFIED
+    ),
+    "standard rows read as modified": Spoilt(
+        table_text(STANDARD, modified=True), Why.DH_CONVENTION
+    ),
+    "the variant with longer arms": Spoilt(
+        table_text(with_cell(with_cell(STANDARD, "J2", a=437), "J4", d=383)),
+        Why.DH_CELLS,
+        (("J2", "a", 517), ("J4", "d", 463)),
+    ),
+}
+
+
+def shown(
+    spoilt: Spoilt, rng: np.random.Generator | None = None, sigma: float = 0.0
+) -> Measurements:
+    """What the pendant shows: rounded to 0.01 deg and 0.01 mm; with a generator, with noise of sigma of these."""
+    readings = np.radians(np.array(POSES, dtype=float))
+    if rng is not None:
+        readings = readings + np.radians(0.01) * sigma * rng.standard_normal(readings.shape)
+    values = readings.copy()
+    if spoilt.coupling:
+        values[:, 2] += values[:, 1]
+    T = true_poses(spoilt.true or STANDARD, values, modified=spoilt.modified)
+    points, rotations = T[:, :3, 3], T[:, :3, :3]
+    if rng is not None:
+        points = points + 1e-5 * sigma * rng.standard_normal(points.shape)
+        for i in range(3):
+            around = np.radians(0.01) * sigma * rng.standard_normal(len(T))
+            axis = np.eye(3)[i]
+            rotations = rotations @ np.array(
+                [np.eye(3) + angle * np.cross(np.eye(3), axis) for angle in around]
+            )
+        left, _, right = np.linalg.svd(rotations)
+        rotations = left @ right
+    return Measurements(
+        tuple(f"J{i + 1}" for i in range(6)),
+        np.radians(np.array(POSES, dtype=float)),
+        np.round(points, 5),
+        kinds=("pose",) * len(POSES),
+        rotations=rotations,
+    )
+
+
+GIVEN = Cell(target=read_only(np.zeros(3)), estimate_target=False)
+
+
+def told(spoilt: Spoilt, table: Measurements, folder: Path, cell: Cell = GIVEN) -> Reason | None:
+    path = folder / "rows.csv"
+    path.write_text(spoilt.text)
+    return find_usual_mistake(Robot.load(path), cell, table)
+
+
+def is_named(reason: Reason | None, spoilt: Spoilt, within: float = 0.5) -> bool:
+    """Whether the cells are the right ones, with the right numbers, within so many mm or deg."""
+    if reason is None or reason.why is not spoilt.why:
+        return False
+    cells = reason.values.get("cells", [])
+    if len(cells) != len(spoilt.cells):
+        return False
+    for cell, (joint, column, right) in zip(cells, spoilt.cells, strict=True):
+        factor = {"m": 1e3, "rad": np.degrees(1.0), "": 1.0}[cell["unit"]]
+        place = (cell["joint"], cell["column"]) == (joint, column)
+        if not place or abs(factor * cell["wanted"] - right) > within:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_three_poses_name_the_wrong_cell(name, tmp_path):
+    spoilt = TABLES[name]
+    reason = told(spoilt, shown(spoilt), tmp_path)
+    assert reason is not None
+    assert is_named(reason, spoilt, within=0.05)
+    assert reason.values["error_m"] < 5e-5
+    assert reason.values["error_rad"] < 1e-3
+    assert "others" not in reason.values
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_with_the_noise_of_a_pendant_too(seed, tmp_path):
+    for name in ("sign of alpha3", "d4 9 mm too short", "the variant with longer arms"):
+        table = shown(TABLES[name], np.random.default_rng(seed), 1.0)
+        assert is_named(told(TABLES[name], table, tmp_path), TABLES[name]), name
+
+
+@pytest.mark.parametrize("rows", [STANDARD, MODIFIED, PARALLEL])
+def test_nothing_is_said_of_right_rows(rows, tmp_path):
+    right = Spoilt(
+        table_text(rows, modified=rows is MODIFIED), Why.DH_CELLS, (), rows, rows is MODIFIED
+    )
+    assert told(right, shown(right), tmp_path) is None
+    assert told(right, shown(right, np.random.default_rng(1), 1.0), tmp_path) is None
