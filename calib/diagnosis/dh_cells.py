@@ -399,7 +399,8 @@ def _with_cells(
     for i, column, number in cells:
         stated = getattr(rows[i], column)
         changed.append(Cell(rows[i].joint, column, float(stated), float(number)))
-        rows[i] = replace(rows[i], **{column: number})
+        cell: dict[str, Any] = {column: number}
+        rows[i] = replace(rows[i], **cell)
     table = replace(dh.table, rows=tuple(rows))
     return CorrectedRows(replace(dh, table=table), Why.DH_CELLS, tuple(changed), free=free)
 
@@ -426,7 +427,9 @@ def _unit_of(column: str, rows: Sequence[DHRow], joint: str) -> str:
 
 
 def _elsewhere(dh: DHRobot, cells: Sequence[Cell]) -> dict[str, str]:
-    """Return what a wrong cell at an end of the chain cannot be told from: the controller's ``base`` or ``tool``."""
+    """Return what a wrong cell cannot be told from: the controller's ``base`` or ``tool``, or the ``joint`` itself."""
+    if len(cells) == 1 and cells[0].column == "direction":
+        return {"elsewhere": "joint"}
     ends = set()
     rows, modified = dh.table.rows, dh.table.convention == MODIFIED
     for cell in cells:
@@ -437,11 +440,11 @@ def _elsewhere(dh: DHRobot, cells: Sequence[Cell]) -> dict[str, str]:
             and (along_z or not modified)
         ):
             ends.add("tool")
-        elif cell.joint == rows[0].joint and cell.column != "direction" and (along_z or modified):
+        elif cell.joint == rows[0].joint and (along_z or modified):
             ends.add("base")
         else:
-            return {}
-    return {"elsewhere": ends.pop()} if len(ends) == 1 else {}
+            ends.add("joint" if cell.column in ("theta", "offset") else "")
+    return {"elsewhere": ends.pop()} if len(ends) == 1 and "" not in ends else {}
 
 
 # Free numbers

@@ -236,6 +236,8 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
 
     usual = _trials(robot, cell, table, setup, poses)
     first, *further = _counts_of_turned_joints(robot, setup)
+    if stated_rows(robot, rows.joints) is not None:
+        first = [count for count in first if count > 1]  # one of them is a cell of the rows
     searches: list[Iterator[Trial]] = [
         itertools.chain(usual, _turned_joints(robot, setup, rows, first)),
         *(_turned_joints(robot, setup, rows, counts) for counts in further),
@@ -360,8 +362,11 @@ def _trials(
     rows = _as_points(poses)
     free = _with_unknown_targets(setup)
     T_base_tip = robot.poses(rows.joints)
+    dh = stated_rows(robot, rows.joints)
     if not setup.estimate_target:
-        yield Trial(_PLAIN, T_base_tip, free, rows, Why.TARGET_ELSEWHERE)
+        # A target has more freedom than a cell of DH rows.
+        factor = _PLAIN if dh is None else _ONE_OF_MANY
+        yield Trial(factor, T_base_tip, free, rows, Why.TARGET_ELSEWHERE)
 
     # Points in the frame of another link that is fixed to the base, or in an unknown frame.
     links = robot.urdf.links
@@ -377,11 +382,12 @@ def _trials(
             unknown = replace(free, unknown=(DIRECTIONS,) * len(setup.groups))
             yield Trial(_FREE_FRAME, T_base_tip, unknown, rows, Why.OWN_FRAME)
 
-    dh = stated_rows(robot, rows.joints)
     if dh is not None:
-        yield from _trials_of_dh_rows(robot, dh, free, rows)
+        yield from _trials_of_dh_rows(robot, dh, setup, rows)
 
     for joints, why, values in correct_joints(robot, rows.joints):
+        if dh is not None and why is Why.JOINT_ZERO:  # a cell of the rows
+            continue
         yield Trial(_ONE_OF_MANY, robot.poses(joints), free, rows, why, values)
 
     # Measurements one row after their joint values, and one before; the first or last row falls away.
@@ -437,22 +443,19 @@ def _trials(
         yield Trial(_ONE_OF_MANY, T_base_tip, free, inverse, Why.POSES_INVERSE)
 
 
-def _trials_of_dh_rows(robot: Robot, dh: DHRobot, free: Setup, rows: Rows) -> Iterator[Trial]:
-    """Yield trials in which a mistake in the rows that a robot was made from is undone, with the targets of ``free``.
+def _trials_of_dh_rows(robot: Robot, dh: DHRobot, setup: Setup, rows: Rows) -> Iterator[Trial]:
+    """Yield trials in which a mistake in the rows that a robot was made from is undone.
 
-    Senses and zeros of joints are not among them: they are tried for all robots.
+    Targets that are held stay where they were given: almost any row would explain what the freedom of a target does.
     """
     names = robot.joint_names
     lines = lines_of_joints(robot.urdf.path)
-    of_joints = {"direction", "theta", "offset"}
-    likely = itertools.chain(likely_rows(dh), rows_of_fitting_lengths(dh, names, free, rows))
-    for corrected in likely:
-        columns = {cell.column for cell in corrected.cells}
-        if columns and columns <= of_joints:
-            continue
-        factor = _FREE if corrected.free else _ONE_OF_MANY
+    fitting = rows_of_fitting_lengths(dh, names, setup, rows)
+    for corrected in itertools.chain(likely_rows(dh), fitting):
         tips = corrected.poses(rows.joints, names)
-        yield Trial(factor, tips, free, rows, corrected.why, corrected.reason_values(lines))
+        # One cell is likelier than two that have its effect.
+        factor = _PLAIN if len(corrected.cells) <= 1 else _ONE_OF_MANY
+        yield Trial(factor, tips, setup, rows, corrected.why, corrected.reason_values(lines))
 
 
 def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:

@@ -238,10 +238,11 @@ SENTENCES = {
     + "target is registered again: was it remounted? Then give its position with --target.",
 }
 
-#: Second sentence on a cell at an end of the chain, by the pose that it cannot be told from.
+#: Second sentence on a cell, by what it cannot be told from.
 _DH_ELSEWHERE = {
     "": "",
     "base": " The controller's base frame, or the line 'base', would have the same effect.",
+    "joint": " If the cell is right, check the joint's positive direction and zero, on the robot and in the table.",
     "tool": " A tool that the controller adds, or the line 'tool', would have the same effect.",
 }
 
