@@ -17,6 +17,7 @@ import pinocchio as pin
 from calib.basics.arrays import Array, rigid_inverse
 from calib.errors import UrdfError, choices
 from calib.robot.full_model import full_model, link_frame
+from calib.robot.kinematic_text import kinematic_text
 from calib.robot.readback import TOLERANCE, yourdfpy_model
 from calib.robot.urdf import Urdf
 
@@ -176,7 +177,9 @@ def check_fixed_frame(urdf: Urdf, link: str, frame: str, T_link_frame: Array) ->
     written = Urdf.from_bytes(urdf.data, urdf.source)
     poses = {
         "Pinocchio": _by_pinocchio(written, link, frame),
-        "yourdfpy": yourdfpy_model(written).get_transform(frame, link),
+        "yourdfpy": yourdfpy_model(kinematic_text(written), written.name).get_transform(
+            frame, link
+        ),
     }
     for reader, T_read in poses.items():
         off = np.abs(T_read - T_link_frame)
