@@ -38,7 +38,7 @@ _ROUNDING = 1e-4
 _SLIDING_MARGIN = 5e-3
 
 #: A sliding joint's limit beyond this is none [m]: no rail is as long, and exporters write 1000 for "no limit".
-_NO_LIMIT = 100.0
+_NO_LIMIT = 500.0
 
 #: A sliding joint without limits moves this far to both sides of zero [m].
 _UNLIMITED_SLIDE = 1.0

@@ -190,7 +190,7 @@ def _in_words(error: Exception, arguments: _Arguments, files: list[Path]) -> str
     if isinstance(cause, ArgException) and text.isidentifier():
         return _missing_arguments(text, arguments, files)
     if isinstance(cause, OSError) and cause.filename:
-        return f"it includes '{cause.filename}', which cannot be read: {cause.strerror}"
+        return f"it uses the file '{cause.filename}', which cannot be read: {cause.strerror}"
     for pattern, sentence in _SAID.items():
         found = re.fullmatch(pattern, text)
         if found is not None:

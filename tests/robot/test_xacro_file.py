@@ -176,7 +176,7 @@ FAULTS: dict[str, tuple[str, dict[str, str], str, str]] = {
     ),
     "file that is not there": (
         '<xacro:include filename="h.xacro"/>', {}, "",
-        "it includes '{folder}/h.xacro', which cannot be read: No such file",
+        "it uses the file '{folder}/h.xacro', which cannot be read: No such file",
     ),
     "in an included file": (
         '<xacro:include filename="h.xacro"/>', {"h.xacro": '<robot xmlns:xacro="x"><xacro:leg/></robot>'}, "",
