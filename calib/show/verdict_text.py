@@ -115,8 +115,8 @@ SENTENCES = {
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
     "{arm_m:mm.1f} mm. Unless the measurement frame is aligned with the base better than that, "
     "add --frame estimate.",
-    Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows, noise "
-    "subtracted ({change}).{better}",
+    Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows{free_of_noise} "
+    "({change}{with_noise}).{better}",
     Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: "
     "{change}.",
     Why.JOINTS_LAG: f"{_NOT_NOISE}they follow the last move of the joints, which {_SHARE}: the "
@@ -284,6 +284,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
         "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",
         "outliers_aside": "",
+        "free_of_noise": ", noise subtracted",
+        "with_noise": "",
         "if_exact": "do not state it as exact, and " if values.get("exact") else "",
         "rows_aside": "",
         "named": "",
@@ -300,6 +302,13 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "less_noise": "".join(sizes_of(values, "less")[:1]),
         "within": "".join(sizes_of(values, "within")[:1]),
     }
+    free_before, free_after = (sizes_of(values, f"free_{side}") for side in ("before", "after"))
+    if free_before and free_after:
+        # The share is that of these figures; those with the noise may hardly differ.
+        words["free_of_noise"] = (
+            f", {free_after[0]} of {free_before[0]} rms once the noise is subtracted"
+        )
+        words["with_noise"] = " with the noise"
     if values.get("outliers"):
         words["outliers_aside"] = ", outliers excluded"
     if values.get("aside"):
