@@ -156,6 +156,7 @@ class Why(str, Enum):
     LARGER_NO_CLOSER = "larger_no_closer", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
+    READINGS_TURNED = "readings_turned", Role.INFORMATION
     SCALE_HIDDEN = "scale_hidden", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
 

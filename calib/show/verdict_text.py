@@ -190,6 +190,8 @@ SENTENCES = {
     "lengths. If its scale is certified, state it in the cell file: scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
+    Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
+    "back by 360 deg; the URDF's limits decide.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
