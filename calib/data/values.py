@@ -30,7 +30,7 @@ Words = NDArray[np.str_]
 #: A whole number in a cell.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 
-#: A date as Excel writes it into a CSV file: ``5-Jan``, ``May-01``, ``1. Mai``, ``2026-05-01``, ``1/5/2026``, ``1.5.2026``.
+#: A date as Excel writes it into a CSV file: ``5-Jan``, ``May-01``, ``1. Mai``, ``2026-05-01``, ``1.5.2026``.
 _DATE = re.compile(
     r"\d{1,2}[-. ]+[^\W\d_]{3,9}\.?(?:[-. ]+\d{2,4})?|[^\W\d_]{3,9}[-. ]+\d{1,4}"
     r"|\d{1,4}([-/.])\d{1,2}\1\d{1,4}(?: \d{1,2}:\d\d(?::\d\d)?)?|\d{1,2}/\d{1,2}"
@@ -208,7 +208,11 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
     elif text.startswith("date ") or _DATE.fullmatch(text):
-        what = f"the cell is the date '{text.removeprefix('date ')}'. Write the number; Excel turns entries such as 1.5 or 1/5 into dates."
+        date = text.removeprefix("date ")
+        what = (
+            f"the cell is the date '{date}'. Write the number; Excel turns entries such as 1.5 or "
+            "1/5 into dates."
+        )
     elif "," in text:
         what = (
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
