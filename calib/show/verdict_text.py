@@ -45,12 +45,16 @@ _COMPENSATE = "send compensated commands (calib compensate with the result file)
 #: The sentence of each code; a number is written as ``{name:unit.digits}``.
 SENTENCES = {
     Why.TARGET_ELSEWHERE: _OFF + "the target is estimated from the data: omit --fix-target.",
-    Why.WRONG_UNIT: _OFF
-    + "the {what} are in {unit}, although the header says {header}: correct the header.",
+    Why.WRONG_UNIT: _OFF + "the {what} are {wrong_unit}.",
     Why.OTHER_BASE: _OFF + "the points are in the frame of '{link}': try --base {link}.",
     Why.OWN_FRAME: _OFF + "the points are not in the base frame: try --frame estimate.",
-    Why.JOINTS_TURNED: _OFF + "the sign of {joints} is reversed: check the positive direction.",
-    Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
+    Why.JOINTS_TURNED: _OFF + "the sign of {joints} is reversed: check the positive direction, or "
+    "multiply the values by -1.",
+    Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position, "
+    "or add this to all values of the column.",
+    Why.JOINT_FACTOR: _OFF
+    + "the values of '{joint}' are multiplied by {factor:.5g}: does the column hold angles of "
+    "the motor, or percent? Write the joint's angles into it.",
     Why.COLUMNS_SWAPPED: _OFF
     + "the columns '{first}' and '{second}' are swapped: check the header.",
     Why.POSES_INVERSE: _OFF
@@ -66,6 +70,8 @@ SENTENCES = {
     Why.ROWS_SHIFTED: _OFF
     + "joint values and measurements are shifted by one row against each other: check which "
     "measurement belongs to which pose.",
+    Why.ROWS_MOVED: _OFF + "the measurements from row {row} on {moved_rows}.",
+    Why.TWO_MISTAKES: _OFF + "two mistakes are undone. {both_mistakes}.",
     Why.OTHER_TIP: _OFF + "the target is mounted on '{link}': try --tip {link}.",
     Why.JOINT_CONSTANT: _OFF
     + "'{joint}' moved, although its column holds a single value: give the actual values.",
@@ -190,6 +196,8 @@ SENTENCES = {
     "lengths. If its scale is certified, state it in the cell file: scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
+    Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
+    "back by 360 deg; the URDF's limits decide.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
@@ -240,15 +248,51 @@ def reason_text(reason: Reason) -> str:
         One or two sentences, with numbers in mm, deg and %.
     """
     values = reason.values
-    words = {**values, **_words(values)}
+    words = {**values, **_words(values), **_words_of_mistake(values)}
     text = _Units().vformat(SENTENCES[reason.why], (), words)
     sentences = [text]
     # Other mistakes that explain the rows as well.
-    for other in values.get("others", ()):
-        sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
-        alternative = _Units().vformat(sentence, (), {"given_m": values["given_m"], **other})
-        sentences.append(f"Or else ({mm(other['error_m'], 1)} mm): {alternative}")
+    sentences += [
+        f"Or else ({mm(other['error_m'], 1)} mm): {_undone(other)}"
+        for other in values.get("others", ())
+    ]
     return " ".join(sentences)
+
+
+def _undone(mistake: Mapping[str, Any]) -> str:
+    """Return how a mistake is undone, with its remedy, as it stands after "but only if"; it has a code and values."""
+    sentence = SENTENCES[Why[str(mistake["code"]).upper()]].removeprefix(_OFF)
+    return _Units().vformat(sentence, (), {**mistake, **_words_of_mistake(mistake)})
+
+
+def _words_of_mistake(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return by name the words that the sentences of usual mistakes take besides their values (SI units)."""
+    words = {}
+    if "what" in values and "factor" in values:
+        if values.get("unit"):
+            unit, header = values["unit"], values["header"]
+            listed_points = (
+                f" (--points-unit {unit} with a list)" if values["what"] == "points" else ""
+            )
+            words["wrong_unit"] = (
+                f"in {unit}, not in {header} as stated: write [{unit}] into the header{listed_points}"
+            )
+        else:
+            words["wrong_unit"] = (
+                f"multiplied by {values['factor']:.6g}. Multiply them by that: they were converted twice, or not at "
+                "all, before they were written"
+            )
+    if "row" in values and "up" in values:
+        row = values["row"]
+        words["moved_rows"] = (
+            f"move down by one row. That of row {row} is missing: insert an empty one there"
+            if values["up"]
+            else f"move up by one row. That of row {row} is one too many: delete it"
+        )
+    if "both" in values:
+        first, second = (_undone(mistake).removesuffix(".") for mistake in values["both"])
+        words["both_mistakes"] = f"First: {first}. Second: {second}"
+    return words
 
 
 def _words(values: Mapping[str, Any]) -> dict[str, str]:
