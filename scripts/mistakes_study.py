@@ -242,9 +242,7 @@ def _sign(table: Measurements, joint: int) -> tuple[Measurements, dict[str, Any]
     return replace(table, joints=scaled(joint, -1.0)(table.joints)), values
 
 
-def _factor(
-    table: Measurements, joint: int, factor: float
-) -> tuple[Measurements, dict[str, Any]]:
+def _factor(table: Measurements, joint: int, factor: float) -> tuple[Measurements, dict[str, Any]]:
     """Multiply the readings of a joint."""
     values = {"code": "joint_factor", "joint": table.joint_names[joint], "factor": 1.0 / factor}
     return replace(table, joints=scaled(joint, factor)(table.joints)), values
@@ -309,9 +307,7 @@ def _centimetres(table: Measurements, _: int, __: int, ___: np.random.Generator)
     return Spoilt(replace(table, points=0.1 * table.points), (values,))
 
 
-def _centimetres_and_sign(
-    table: Measurements, i: int, _: int, rng: np.random.Generator
-) -> Spoilt:
+def _centimetres_and_sign(table: Measurements, i: int, _: int, rng: np.random.Generator) -> Spoilt:
     """Points are in cm, and a joint counts the other way."""
     table, sign = _sign(table, i)
     spoilt = _centimetres(table, i, i, rng)
@@ -325,9 +321,7 @@ def _last_turned(table: Measurements, _: int, __: int, rng: np.random.Generator)
     return Spoilt(table, (zero,))
 
 
-MORE_MISTAKES: Mapping[
-    str, Callable[[Measurements, int, int, np.random.Generator], Spoilt]
-] = {
+MORE_MISTAKES: Mapping[str, Callable[[Measurements, int, int, np.random.Generator], Spoilt]] = {
     "two zeros": _two_zeros,
     "sign and zero of a joint": _sign_and_zero,
     "sign of one, zero of another": _sign_zero_elsewhere,
@@ -341,7 +335,9 @@ MORE_MISTAKES: Mapping[
 }
 
 
-def spoilt_table(name: str | None, kind: str, seed: int, *, free: bool) -> tuple[Robot, Cell, Spoilt]:
+def spoilt_table(
+    name: str | None, kind: str, seed: int, *, free: bool
+) -> tuple[Robot, Cell, Spoilt]:
     """Measure an arm with typical errors, and make a mistake of `MORE_MISTAKES`; None: no mistake."""
     rng = np.random.default_rng([seed, *map(ord, kind), free])
     robot = load_arm(ARMS[seed % len(ARMS)])
@@ -371,7 +367,7 @@ def spoilt_table(name: str | None, kind: str, seed: int, *, free: bool) -> tuple
 
 def is_named(reason: Mapping[str, Any], named: Sequence[Mapping[str, Any]]) -> bool:
     """Return True if a reason has the codes and values of the mistakes that were made."""
-    told = reason["both"] if "both" in reason else [reason]
+    told = reason.get("both", [reason])
     return len(told) == len(named) and all(
         any(_agrees(one, expected) for one in told) for expected in named
     )

@@ -233,8 +233,8 @@ def find_usual_mistake(
     """Find a usual mistake that explains why the nominal robot is far off the rows of a table.
 
     Of poses the positions are examined first, and the orientations if the positions are plausible; several targets and
-    frames are examined together, on at most some tens of rows. If no single mistake explains the rows, every pair of two
-    is tried: all of them by `calib.diagnosis.screening`, the best by a registration.
+    frames are examined together, on at most some tens of rows. If no single mistake explains the rows, every pair
+    of two is tried: all of them by `calib.diagnosis.screening`, the best by a registration.
 
     Args:
         robot: The nominal robot.
