@@ -4,7 +4,8 @@
 
 A UR5 with typical errors is measured at 30 poses. Each mistake is made in a table of points, of poses, of points of two
 targets and of points from two stations, with a known measurement frame and with an unknown one. Printed is the first
-reason of each verdict, with ``+`` where it names the mistake.
+reason of each verdict, with ``+`` where it names the mistake. A second table has mistakes that come two at a time, and
+others, on several arms: see `more_outcome` for its words.
 """
 
 from __future__ import annotations
@@ -428,7 +429,18 @@ def main() -> None:
     outcomes = [result for results in counted for result in results if result is not None]
     named = sum(result.named for result in outcomes)
     used = sum(result.use == USE for result in outcomes)
-    print(f"\nnamed by their cause: {named} of {len(outcomes)}; '{USE}': {used}")
+    print(f"\nnamed by their cause: {named} of {len(outcomes)}; '{USE}': {used}\n")
+
+    # Mistakes that come two at a time, on arms and set-ups that the seed draws; the last row has none.
+    cases = [(kind, free) for kind in ("point", "pose") for free in (False, True)]
+    printed_rows = []
+    for number, name in enumerate((*MORE_MISTAKES, None)):
+        cells = [
+            more_outcome(name, kind, 100 * number + k, free) for k, (kind, free) in enumerate(cases)
+        ]
+        printed_rows.append([name or "no mistake", *cells])
+    titles = ["mistake", *(f"{kind}{', free' if free else ''}" for kind, free in cases)]
+    print_table(titles, printed_rows, [31] + len(cases) * [12])
 
 
 if __name__ == "__main__":
