@@ -37,7 +37,7 @@ def check_written(robot: Robot, expected: Array, q: Array, given: Robot) -> None
             was given as the model does.
     """
     read_again = robot.rebuilt(Urdf.from_bytes(robot.urdf.data, "the corrected URDF"))
-    _check_close("Pinocchio", read_again.poses(q), expected)
+    check_close("Pinocchio", robot.tip, read_again.poses(q), expected)
     for text_of in (_whole_file, kinematic_text):
         fault = _fault_by_yourdfpy(robot, text_of(robot.urdf), q, expected)
         if fault is None:
@@ -46,12 +46,22 @@ def check_written(robot: Robot, expected: Array, q: Array, given: Robot) -> None
             raise fault
 
 
-def _check_close(reader: str, poses: Array, expected: Array) -> None:
-    """Refuse by UrdfError poses (N, 4, 4) [m] that a reader finds elsewhere than expected by more than `TOLERANCE`."""
+def check_close(reader: str, link: str, poses: Array, expected: Array) -> None:
+    """Refuse a URDF in which a reader finds a link elsewhere than expected by more than `TOLERANCE`.
+
+    Args:
+        reader: Name of the reader, for the message.
+        link: Name of the link, for the message.
+        poses: Shape (N, 4, 4), [m], poses of the link by the reader.
+        expected: Shape (N, 4, 4), [m], poses by the model in memory.
+
+    Raises:
+        UrdfError: They differ by more.
+    """
     off = np.abs(poses - expected)
     if not off.max() <= TOLERANCE:
         raise UrdfError(
-            f"The corrected URDF, read back by {reader}, puts the tip {off[:, :3, 3].max():.2e} m and "
+            f"The corrected URDF, read back by {reader}, has '{link}' {off[:, :3, 3].max():.2e} m and "
             f"{off[:, :3, :3].max():.2e} rad away from the model in memory; {TOLERANCE:g} is allowed. It is not "
             "written. Please report this with the URDF."
         )
@@ -65,7 +75,7 @@ def _fault_by_yourdfpy(
     ``expected`` are T_base_tip by the model in memory, (N, 4, 4) [m].
     """
     try:
-        _check_close("yourdfpy", _poses_by_yourdfpy(robot, text, q), expected)
+        check_close("yourdfpy", robot.tip, _poses_by_yourdfpy(robot, text, q), expected)
     except UrdfError as error:
         return error
     return None
