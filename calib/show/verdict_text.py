@@ -71,7 +71,7 @@ SENTENCES = {
     + "joint values and measurements are shifted by one row against each other: check which "
     "measurement belongs to which pose.",
     Why.ROWS_MOVED: _OFF + "the measurements from row {row} on {moved_rows}.",
-    Why.TWO_MISTAKES: _OFF + "two mistakes are undone. {both_mistakes}.",
+    Why.TWO_MISTAKES: _OFF + "two mistakes are undone: {both_mistakes}.",
     Why.OTHER_TIP: _OFF + "the target is mounted on '{link}': try --tip {link}.",
     Why.JOINT_CONSTANT: _OFF
     + "'{joint}' moved, although its column holds a single value: give the actual values.",
@@ -279,8 +279,8 @@ def _words_of_mistake(values: Mapping[str, Any]) -> dict[str, str]:
             )
         else:
             words["wrong_unit"] = (
-                f"multiplied by {values['factor']:.6g}. Multiply them by that: they were converted twice, or not at "
-                "all, before they were written"
+                f"multiplied by {values['factor']:.6g}: they were converted twice, or not at all, before they "
+                "were written"
             )
     if "row" in values and "up" in values:
         row = values["row"]
@@ -290,8 +290,12 @@ def _words_of_mistake(values: Mapping[str, Any]) -> dict[str, str]:
             else f"move up by one row. That of row {row} is one too many: delete it"
         )
     if "both" in values:
-        first, second = (_undone(mistake).removesuffix(".") for mistake in values["both"])
-        words["both_mistakes"] = f"First: {first}. Second: {second}"
+        # What is wrong comes first, as a page may have no room for the remedies.
+        parts = [_undone(mistake).removesuffix(".").partition(": ") for mistake in values["both"]]
+        (first, _, of_first), (second, _, of_second) = parts
+        words["both_mistakes"] = (
+            f"{first}, and {second}. For the one, {of_first}; for the other, {of_second}"
+        )
     return words
 
 
