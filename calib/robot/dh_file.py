@@ -118,25 +118,6 @@ def read_dh_robot(path: str | Path) -> DHRobot:
         raise ModelError(f"{table.source}: {error}") from error
 
 
-def lines_of_joints(path: str | Path | None) -> dict[str, int]:
-    """Return the line of each joint's row in a table of DH rows, from 1, by the joint's name.
-
-    Args:
-        path: The table; empty is returned for None, for other files, and for a table that is no longer there or whole.
-    """
-    if path is None or Path(path).suffix.lower() not in TABLES:
-        return {}
-    try:
-        columns = dh_columns(Table.read(path), None)
-        _, numbers = _poses_and_joint_lines(columns)
-    except CalibError:
-        return {}
-    return {
-        columns.text(i, "joint") or f"joint_{number}": columns.table.lines[i]
-        for number, i in enumerate(numbers, start=1)
-    }
-
-
 def is_other_table(path: str | Path) -> bool:
     """Return True for a table of anything but DH rows, False for any other file.
 
@@ -173,7 +154,18 @@ def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str
     A pose without a line ``base`` or ``tool`` is the identity, and a joint without a name is called after its number.
     MeasurementError for a second line of a pose, a second joint of one name, a fault in a cell, or no joint at all.
     """
-    poses, joint_lines = _poses_and_joint_lines(columns)
+    naming = _naming(columns)
+    poses: dict[str, Array] = {}
+    joint_lines = []
+    for i in _lines_to_read(columns):
+        place = columns.text(i, naming).lower()
+        if place in poses:
+            raise columns.error(i, naming, f"a second line '{place}'. Keep one.")
+        if place in _POSES:
+            poses[place] = _pose(columns, i)
+        else:
+            joint_lines.append(i)
+
     names: list[str] = []
     for number, i in enumerate(joint_lines, start=1):
         name = columns.text(i, "joint") or f"joint_{number}"
@@ -201,25 +193,6 @@ def _table_and_coupling(columns: DHColumns) -> tuple[DHTable, dict[str, dict[str
         convention=columns.convention,
     )
     return dh, coupling
-
-
-def _poses_and_joint_lines(columns: DHColumns) -> tuple[dict[str, Array], list[int]]:
-    """Return the constant poses (4, 4) [m] by ``base`` and ``tool``, and the lines, from 0, of the joints' rows.
-
-    MeasurementError for a second line of a pose, or a fault in its cells.
-    """
-    naming = _naming(columns)
-    poses: dict[str, Array] = {}
-    joint_lines = []
-    for i in _lines_to_read(columns):
-        place = columns.text(i, naming).lower()
-        if place in poses:
-            raise columns.error(i, naming, f"a second line '{place}'. Keep one.")
-        if place in _POSES:
-            poses[place] = _pose(columns, i)
-        else:
-            joint_lines.append(i)
-    return poses, joint_lines
 
 
 def _naming(columns: DHColumns) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from string import Formatter
 
 import pytest
@@ -29,6 +30,17 @@ def test_orientations_are_told_beside_positions():
         "On held-out rows (leave-one-out, outliers excluded) the error falls from 2.000 mm and 5.730 deg to 1.000 "
         "mm and 0.573 deg rms."
     )
+
+
+def test_two_mistakes_are_both_named_before_what_to_do_about_them():
+    both = [
+        {"code": "joints_turned", "joints": "elbow"},
+        {"code": "wrong_unit", "what": "points", "factor": 10.0, "unit": "cm", "header": "mm"},
+    ]
+    values = {"given_m": 0.5, "error_m": 4e-3, "both": both}
+    _, _, text = reason_text(Reason(Why.TWO_MISTAKES, values)).partition("undone: ")
+    places = [text.index(words) for words in ("elbow", "in cm", "by -1", "[cm]")]
+    assert places == sorted(places)
 
 
 def test_only_do_not_use_speaks_against_a_result():
@@ -117,3 +129,17 @@ def test_sentences_about_images_have_the_values_of_their_reasons(why):
     text = reason_text(Reason.of(why, **VALUES[why]))
     for words in SAID[why]:
         assert words in text
+
+
+def test_a_wrong_cell_of_dh_rows_is_told_with_its_numbers():
+    cells = [
+        {"joint": "J4", "column": "d", "unit": "m", "stated": 0.411, "wanted": 0.42},
+        {"joint": "J6", "column": "alpha", "unit": "rad", "stated": 0.0, "wanted": -0.5 * math.pi},
+    ]
+    values = {"given_m": 9e-3, "given_rad": 1.0, "error_m": 1e-5, "error_rad": 1e-4}
+    reason = Reason(Why.DH_CELLS, values | {"cells": cells, "elsewhere": "tool"})
+    _, _, text = reason_text(reason).partition(" if ")
+    assert text == (
+        "'d' of 'J4' is 420 mm instead of 411 mm (9 mm too short) and 'alpha' of 'J6' is -90 deg instead of 0 deg. "
+        "A tool that the controller adds, or the line 'tool', would have the same effect."
+    )

@@ -1,0 +1,478 @@
+"""Mistakes in the DH rows that a robot was made from: the cell that is wrong, and what it should hold.
+
+Each mistake is a change of the rows that undoes it. All are tried alike: the robot of the changed rows is compared with
+the measured poses, given targets and frames where they were given. Some changes leave a number x open. The target's
+pose is B S(x) C with S a screw along or about an axis z or x of the rows, so that the sum of squares s is, of a length
+
+    s = s_0 + b x + c x^2,    and of an angle    s = s_0 + b cos x + c sin x:
+
+three values of s give the best x. Positions are linear in all lengths together, so two or three that are wrong are
+found by linear least squares.
+
+Poses that a controller computes from its own rows agree with the right ones but for rounding. A change that lowers
+centimetres, or millimetres, to that is the mistake; no error of a real arm does so.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from calib.basics.arrays import Array
+from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.trials import misfit, with_joints
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
+from calib.robot.dh_rows import MODIFIED, STANDARD, DHRobot, DHRow
+from calib.robot.robot import Robot
+from calib.robot.ur_models import MODELS
+from calib.robot.urdf import urdf_of_dh
+
+#: What each reading of a joint may be off in poses of a controller: two units of the last digit that it shows [rad].
+_LAST_DIGITS = np.radians(0.02)
+
+#: A change is named only if it lowers the error to this share; one with free numbers, to this share divided by one more
+#: than these are.
+_FAR_BETTER = 0.2
+
+#: A smaller change of an angle is an error of an arm, whose joint's zero may be off by as much, and no slip [rad].
+_LEAST_TURN = np.radians(3.0)
+
+#: Nominal errors below these may be those of an arm, if a frame or a target is registered [m] and [rad].
+_PLAUSIBLE = (0.02, 0.1)
+
+#: The most lengths that are wrong together.
+_MOST_LENGTHS = 3
+
+#: Measured numbers that have to remain after all that is free, so that these do not explain anything.
+_LEFT_OVER = 4
+
+#: Two or three lengths cannot be told apart if their columns are worse conditioned.
+_WORST_CONDITION = 1e3
+
+#: Errors within this factor, or below this share of the rounding, are equal.
+_AS_GOOD = 1.5
+_OF_ROUNDING = 0.1
+
+#: Likely angles of rows [rad].
+_QUARTER_TURNS = (0.0, np.pi / 2.0, -np.pi / 2.0, np.pi)
+
+#: A length that fits and is this near to a likely one is that one: errors of an arm are of this size [m].
+_SLIP = 3e-3
+
+#: Numbers that differ by less are the same [m or rad].
+_SAME = 1e-6
+
+#: Entries of poses of two robots that differ by less are the same for rounded poses [m or 1].
+_SAME_POSE = 1e-3
+
+#: Units of lengths that a column may be in though its heading says mm, with the factor.
+_LENGTH_UNITS = (("cm", 10.0), ("m", 1e3), ("in", 25.4))
+
+#: The columns of lengths, and of angles.
+_LENGTHS = ("d", "a")
+_ANGLES = ("theta", "alpha")
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A cell of a table of DH rows, with the number that it holds and the one that would explain the poses."""
+
+    #: The row's joint.
+    joint: str
+    #: The column's name, such as ``"alpha"``.
+    column: str
+    #: ``"m"``, ``"rad"``, or empty for a direction.
+    unit: str
+    #: What it holds, in this unit.
+    stated: float
+    #: What it should hold.
+    wanted: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """DH rows in which a mistake is undone."""
+
+    #: The changed rows.
+    rows: DHRobot
+    #: The mistake.
+    why: Why
+    #: The cells that are changed; none if whole rows or columns are.
+    cells: tuple[Cell, ...] = ()
+    #: Numbers that the measured poses determine.
+    free: int = 0
+    #: Numbers and names of the reason, cells and errors aside.
+    values: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def rank(self) -> tuple[int, int]:
+        """The smaller, the likelier: an empty cell may be meant so, and one cell is likelier than two."""
+        return sum(abs(cell.stated) < _SAME for cell in self.cells), len(self.cells)
+
+    @property
+    def reason_values(self) -> dict[str, Any]:
+        """The values of the reason, without errors: cells with what cannot be told from them."""
+        if not self.cells:
+            return self.values
+        places = {_elsewhere(self.rows, cell) for cell in self.cells}
+        elsewhere = places.pop() if len(places) == 1 else ""  # of two places it would be two
+        return {"cells": [asdict(cell) for cell in self.cells], "elsewhere": elsewhere}
+
+    def robot(self) -> Robot:
+        """Return the robot of the changed rows, whose joints are in their order."""
+        return Robot.from_urdf(urdf_of_dh(self.rows, self.rows.name), self.rows.base, self.rows.tip)
+
+    def in_order(self, q: Array, names: Sequence[str]) -> Array:
+        """Return joint values, shape (N, n), of the joints ``names`` in the order of the changed rows."""
+        return q[:, [names.index(name) for name in self.rows.joint_names]]
+
+    def makes_same_robot(self, other: Change) -> bool:
+        """Return whether the rows of another change are the same robot, told otherwise."""
+        names = self.rows.joint_names
+        q = np.linspace(-1.0, 1.0, 5)[:, None] * np.arange(1.0, 1.0 + len(names))
+        poses = other.rows.poses(other.in_order(q, names))
+        return bool(np.allclose(self.rows.poses(q), poses, rtol=0.0, atol=_SAME_POSE))
+
+
+def stated_rows(robot: Robot, q: Array) -> DHRobot | None:
+    """Return the DH rows of a robot; None if it was not made from rows, or is not the robot of its rows any more.
+
+    Args:
+        robot: The robot. A corrected one still has the rows of the nominal one, and base or tip may be other links.
+        q: Readings of its joints, shape (N, m) [rad] or [m].
+    """
+    dh = robot.urdf.dh
+    if dh is None or dh.joint_names != robot.joint_names:
+        return None
+    dh = replace(dh, coupling=robot.reading_coupling)
+    return dh if np.allclose(dh.poses(q), robot.poses(q), rtol=0.0, atol=_SAME) else None
+
+
+def try_changes(dh: DHRobot, setup: Setup, rows: Rows) -> list[tuple[Array, Change]]:
+    """Try every change of a robot's rows, and each number of them at the value that fits best.
+
+    Args:
+        dh: The rows as they are stated.
+        setup: Frames and targets; what is given counts as given, all else is registered.
+        rows: N rows of points or poses, with the joints of ``dh`` in their order.
+
+    Returns:
+        Each change, with the rms errors that it leaves: of positions [m], and of orientations [rad], 0 of points.
+    """
+    tried = _Tried(dh, setup.with_given_fixed(), rows)
+    changes = itertools.chain(*(changes_of(dh) for changes_of in _CHANGES), tried.with_a_number())
+    return [(tried.errors(change), change) for change in (*changes, *tried.with_lengths())]
+
+
+def find_wrong_rows(dh: DHRobot, setup: Setup, rows: Rows) -> Reason | None:
+    """Find the mistake in DH rows that poses of a controller show, which agree with the right ones but for rounding.
+
+    Args:
+        dh: The rows as they are stated.
+        setup: Frames and targets; what is given counts as given, all else is registered.
+        rows: N rows of points or poses, with the joints of ``dh`` in their order.
+
+    Returns:
+        The mistake, with the errors as given and with it undone [m] and [rad], and others that explain the rows as
+        well; None if the rows agree as they are, or no change explains them but for rounding.
+    """
+    limit = _rounding(dh)
+    places = setup.with_given_fixed()
+    given = _Tried(dh, places, rows).errors(Change(dh, Why.DH_CELLS))
+    is_known = places.count == 0 and bool(np.all(rows.where(lambda kind: kind.orientation)))
+    if np.all(given < (limit / _FAR_BETTER if is_known else _PLAUSIBLE)):
+        return None
+
+    found = []
+    for errors, change in try_changes(dh, setup, rows):
+        error = float(np.max(errors / limit))
+        share = _FAR_BETTER / (1 + change.free)
+        if error <= min(1.0, share * np.max(given / limit)):
+            found.append((error, errors, change))
+    if not found:
+        return None
+    # What leaves fewer numbers open is likelier.
+    fewest = min(change.free for _, _, change in found)
+    found = [entry for entry in found if entry[2].free == fewest]
+    smallest = min(error for error, _, _ in found)
+    as_good = [
+        entry for entry in found if entry[0] <= max(_AS_GOOD * smallest, smallest + _OF_ROUNDING)
+    ]
+    as_good.sort(key=lambda entry: (*entry[2].rank, entry[0]))
+
+    names = ("m", "rad") if np.any(rows.where(lambda kind: kind.orientation)) else ("m",)
+    told = [
+        {f"error_{name}": float(errors[k]) for k, name in enumerate(names)} | change.reason_values
+        for _, errors, change in as_good
+    ]
+    best = as_good[0][2]
+    # The same robot, told otherwise, is no other explanation.
+    others = [
+        {"code": change.why.value, **values}
+        for (_, _, change), values in zip(as_good[1:], told[1:], strict=True)
+        if not change.makes_same_robot(best)
+    ]
+    values = {f"given_{name}": float(given[k]) for k, name in enumerate(names)} | told[0]
+    return Reason.of(best.why, **values, **({"others": others} if others else {}))
+
+
+def _rounding(dh: DHRobot) -> Array:
+    """Return the largest rms errors that rounding of a controller's poses explains: [m] and [rad], shape (2,).
+
+    Every joint turns by `_LAST_DIGITS`, with half of the stretched arm as its lever.
+    """
+    angle = np.sqrt(len(dh.table.rows)) * _LAST_DIGITS
+    return np.array([angle * _lever(dh), angle])
+
+
+def _lever(dh: DHRobot) -> float:
+    """Return half the length of the stretched arm, or 0.1 m of a shorter one [m]."""
+    return max(0.5 * float(sum(np.hypot(row.a, row.d) for row in dh.table.rows)), 0.1)
+
+
+# Changes that leave no number open
+
+
+def _cells_of_a_row(dh: DHRobot) -> Iterator[Change]:
+    """Yield the rows with one joint counting the other way, or with two numbers of a row in each other's cell."""
+    for i, row in enumerate(dh.table.rows):
+        yield _with_cells(dh, [(i, "direction", -row.direction)])
+        for first, second in (_LENGTHS, _ANGLES):
+            yield _with_cells(
+                dh, [(i, first, getattr(row, second)), (i, second, getattr(row, first))]
+            )
+
+
+def _cells_of_a_column(dh: DHRobot) -> Iterator[Change]:
+    """Yield the rows with two numbers of a column in each other's cell."""
+    for (i, first), (j, second) in itertools.combinations(enumerate(dh.table.rows), 2):
+        for column in (*_LENGTHS, *_ANGLES):
+            yield _with_cells(
+                dh, [(i, column, getattr(second, column)), (j, column, getattr(first, column))]
+            )
+
+
+def _exchanged_rows(dh: DHRobot) -> Iterator[Change]:
+    """Yield the rows with two of them exchanged: with their joints, or their numbers alone."""
+    for (i, first), (j, second) in itertools.combinations(enumerate(dh.table.rows), 2):
+        values = {"first": first.joint, "second": second.joint}
+        yield Change(_with_rows(dh, {i: second, j: first}), Why.DH_ROWS_EXCHANGED, values=values)
+        if first.prismatic == second.prismatic:
+            numbers = {
+                i: replace(second, joint=first.joint, lower=first.lower, upper=first.upper),
+                j: replace(first, joint=second.joint, lower=second.lower, upper=second.upper),
+            }
+            yield Change(_with_rows(dh, numbers), Why.DH_NUMBERS_EXCHANGED, values=values)
+
+
+def _other_convention(dh: DHRobot) -> Iterator[Change]:
+    """Yield the same numbers read in the other convention; none for rows with a beta."""
+    if any(row.beta for row in dh.table.rows):
+        return
+    stated = dh.table.convention
+    other = STANDARD if stated == MODIFIED else MODIFIED
+    rows = replace(dh, table=replace(dh.table, convention=other))
+    yield Change(rows, Why.DH_CONVENTION, values={"convention": other, "stated": stated})
+
+
+def _other_arms(dh: DHRobot) -> Iterator[Change]:
+    """Yield the other arms of Universal Robots, if the rows have the angles of these."""
+    if dh.table.convention == MODIFIED:
+        return
+    alphas = [row.alpha for row in dh.table.rows]
+    for model in MODELS:
+        _, a, d, of_arm = model.rows.T
+        if len(alphas) == len(of_arm) and np.allclose(alphas, of_arm, atol=_LEAST_TURN):
+            rows = {
+                i: replace(row, a=float(a[i]), d=float(d[i])) for i, row in enumerate(dh.table.rows)
+            }
+            yield Change(_with_rows(dh, rows), Why.DH_VARIANT, values={"arm": model.name})
+
+
+def _other_units(dh: DHRobot) -> Iterator[Change]:
+    """Yield the rows in which a column, or both columns of lengths or of angles, are in another unit than stated."""
+    units = [
+        *(
+            (columns, unit, "mm", factor)
+            for columns in (("a",), ("d",), _LENGTHS)
+            for unit, factor in _LENGTH_UNITS
+        ),
+        *(
+            (columns, "rad", "deg", np.degrees(1.0))
+            for columns in (("alpha",), ("theta",), _ANGLES)
+        ),
+    ]
+    for columns, unit, header, factor in units:
+        scaled = {
+            i: replace(row, **{column: factor * getattr(row, column) for column in columns})
+            for i, row in enumerate(dh.table.rows)
+        }
+        values = {"what": f"numbers of {' and '.join(columns)}", "unit": unit, "header": header}
+        yield Change(_with_rows(dh, scaled), Why.DH_UNIT, values=values)
+
+
+#: Changes of rows by what is changed: each yields rows in which one mistake is undone.
+_CHANGES: tuple[Callable[[DHRobot], Iterator[Change]], ...] = (
+    _cells_of_a_row,
+    _cells_of_a_column,
+    _exchanged_rows,
+    _other_convention,
+    _other_arms,
+    _other_units,
+)
+
+
+# Changes with free numbers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    """Rows that changes of DH rows are compared with."""
+
+    #: The DH rows as they are stated.
+    dh: DHRobot
+    #: Frames and targets, with what is registered.
+    setup: Setup
+    #: N rows of points or poses, with the joints of ``dh`` in their order.
+    rows: Rows
+
+    def errors(self, change: Change) -> Array:
+        """Return the rms errors that a change leaves: positions [m] and orientations [rad], 0 of points, shape (2,)."""
+        moved = with_joints(self.rows, change.in_order(self.rows.joints, self.dh.joint_names))
+        return np.nan_to_num(misfit(change.rows, self.setup, moved))
+
+    def with_a_number(self) -> Iterator[Change]:
+        """Yield the rows with each number at the value that fits best, by three values; see the module's text."""
+        if self.rows.count - self.setup.count - 1 < _LEFT_OVER:
+            return
+        lever = _lever(self.dh)
+        for i, row in enumerate(self.dh.table.rows):
+            for column in (*_LENGTHS, *_ANGLES):
+                cell = column
+                if column == "theta" and not row.prismatic:
+                    cell = _column_of_zero(self.dh, i)
+                stated = getattr(row, cell)
+                step = 0.2 * lever if column in _LENGTHS else 2.0 * np.pi / 3.0
+                s = []
+                for number in (stated - step, stated, stated + step):
+                    position, angle = self.errors(_with_cells(self.dh, [(i, cell, number)]))
+                    s.append((position / lever) ** 2 + (2.0 * np.sin(0.5 * angle)) ** 2)
+                slope, curvature = s[2] - s[0], s[0] - 2.0 * s[1] + s[2]
+                if column in _LENGTHS:
+                    # What registered places make up for has no curvature.
+                    if curvature > 1e-3 * (step / lever) ** 2:
+                        yield _at_a_likely_value(
+                            self.dh, i, cell, stated - 0.5 * step * slope / curvature
+                        )
+                    continue
+                turn = float(np.arctan2(-slope / np.sqrt(3.0), curvature / 3.0))
+                if np.hypot(slope, curvature) > 1e-3 and abs(turn) > _LEAST_TURN:
+                    yield _at_a_likely_value(self.dh, i, cell, _turned(stated + turn))
+
+    def with_lengths(self) -> Iterator[Change]:
+        """Yield the rows with two or three lengths at the values that fit best, if they explain the positions.
+
+        Nothing if a frame or a target is registered.
+        """
+        if self.setup.count:
+            return
+        cells = [(i, column) for i in range(len(self.dh.table.rows)) for column in _LENGTHS]
+        stated = [getattr(self.dh.table.rows[i], column) for i, column in cells]
+        points = self._points(self.dh)
+        residual = (self.rows.measured[:, :3] - points).ravel()
+        longer = [
+            _with_cells(self.dh, [(i, c, x + 1.0)]) for (i, c), x in zip(cells, stated, strict=True)
+        ]
+        J = np.stack([(self._points(change.rows) - points).ravel() for change in longer], axis=1)
+        rounding, _ = _rounding(self.dh)
+        for count in range(2, _MOST_LENGTHS + 1):
+            if residual.size - count < _LEFT_OVER:
+                return
+            for chosen in itertools.combinations(range(len(cells)), count):
+                part = J[:, chosen]
+                if np.linalg.cond(part) > _WORST_CONDITION:
+                    continue
+                change = np.linalg.lstsq(part, residual, rcond=None)[0]
+                left = np.sum((residual - part @ change) ** 2)
+                if left <= len(points) * rounding**2 and np.all(np.abs(change) > rounding):
+                    wanted = [
+                        (*cells[k], stated[k] + float(x))
+                        for k, x in zip(chosen, change, strict=True)
+                    ]
+                    yield _with_cells(self.dh, wanted, free=count)
+
+    def _points(self, dh: DHRobot) -> Array:
+        """Return the targets in their frames at the rows, shape (N, 3) [m], of DH rows with the joints as they are."""
+        poses = self.setup.target_poses(dh.poses(self.rows.joints), self.rows.samples)
+        return poses[:, :3, 3]
+
+
+def _at_a_likely_value(dh: DHRobot, i: int, column: str, number: float) -> Change:
+    """Return the rows with a number [m or rad] in a cell, or with the likely one that it nearly is.
+
+    A length is likely with the other sign, or 0; an angle with the other sign too, or at quarter turns.
+    """
+    stated = getattr(dh.table.rows[i], column)
+    if column in _LENGTHS:
+        likely: tuple[float, ...] = (-stated, 0.0)
+        distance = _SLIP
+    else:
+        likely = (-stated, *_QUARTER_TURNS)
+        distance = _LEAST_TURN
+    for value in likely:
+        apart = value - number if column in _LENGTHS else _turned(value - number)
+        if abs(apart) < distance:
+            return _with_cells(dh, [(i, column, value)])
+    return _with_cells(dh, [(i, column, number)], free=1)
+
+
+# Cells
+
+
+def _with_cells(dh: DHRobot, cells: Sequence[tuple[int, str, float]], *, free: int = 0) -> Change:
+    """Return the rows with other numbers in some cells: row from 0, column, number [m or rad]."""
+    rows = dict(enumerate(dh.table.rows))
+    changed = []
+    for i, column, number in cells:
+        stated = float(getattr(rows[i], column))
+        slides = column == "offset" and rows[i].prismatic
+        unit = "" if column == "direction" else "m" if column in _LENGTHS or slides else "rad"
+        changed.append(Cell(rows[i].joint, column, unit, stated, float(number)))
+        cell: dict[str, Any] = {column: number}
+        rows[i] = replace(rows[i], **cell)
+    return Change(_with_rows(dh, rows), Why.DH_CELLS, tuple(changed), free)
+
+
+def _with_rows(dh: DHRobot, rows: Mapping[int, DHRow]) -> DHRobot:
+    """Return a robot with other rows in some places, from 0."""
+    every = tuple(rows.get(i, row) for i, row in enumerate(dh.table.rows))
+    return replace(dh, table=replace(dh.table, rows=every))
+
+
+def _column_of_zero(dh: DHRobot, i: int) -> str:
+    """Return the column of the zero of row i, from 0: ``offset`` if rows have offsets and this one no theta."""
+    is_of_theta = abs(dh.table.rows[i].theta) > _SAME
+    return "theta" if is_of_theta or not any(row.offset for row in dh.table.rows) else "offset"
+
+
+def _turned(angle: float) -> float:
+    """Return an angle in (-pi, pi], [rad]."""
+    return float(np.pi - (np.pi - angle) % (2.0 * np.pi))
+
+
+def _elsewhere(dh: DHRobot, cell: Cell) -> str:
+    """Return what a wrong cell cannot be told from: the controller's ``base`` or ``tool``, the ``joint``, or none."""
+    rows, is_modified = dh.table.rows, dh.table.convention == MODIFIED
+    along_z = cell.column in ("theta", "offset", "d")
+    if cell.column == "direction":
+        return "joint"
+    if cell.joint == rows[-1].joint and (along_z or not is_modified):
+        return "tool"
+    if cell.joint == rows[0].joint and (along_z or is_modified):
+        return "base"
+    return "joint" if cell.column in ("theta", "offset") else ""
