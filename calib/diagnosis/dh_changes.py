@@ -2,12 +2,9 @@
 
 Each mistake is a change of the rows that undoes it. All are tried alike: the robot of the changed rows is compared with
 the measured poses, given targets and frames where they were given. Some changes leave a number x open. The target's
-pose is B S(x) C with S a screw along or about an axis z or x of the rows, so that the sum of squares s is, of a length
-
-    s = s_0 + b x + c x^2,    and of an angle    s = s_0 + b cos x + c sin x:
-
-three values of s give the best x. Positions are linear in all lengths together, so two or three that are wrong are
-found by linear least squares.
+pose is then B S(x) C with S a screw along or about an axis z or x of the rows, so that the sum of squares is, of a
+length, a parabola of x, and of an angle a sinusoid: few values of it give the best x. Positions are linear in all
+lengths together, so two or three that are wrong are found by linear least squares.
 
 Poses that a controller computes from its own rows agree with the right ones but for rounding. A change that lowers
 centimetres, or millimetres, to that is the mistake; no error of a real arm does so.
@@ -24,6 +21,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.screening import errors_of_tips
 from calib.diagnosis.trials import misfit, with_joints
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
@@ -50,6 +48,19 @@ _MOST_LENGTHS = 3
 
 #: Measured numbers that have to remain after all that is free, so that these do not explain anything.
 _LEFT_OVER = 4
+
+#: Steps in which the best number of a cell is sought: of a length, in half lengths of the arm, and of an angle [rad];
+#: each round is finer by a factor. A parabola is exact of a length, and of a sinusoid two leave 1e-5 rad.
+_LENGTH_STEP = 0.2
+_ANGLE_STEP = np.pi / 6.0
+_FINER = 0.05
+_ROUNDS = 2
+
+#: The least curvature of the squares that tells a number: 2 if this moves all rows by its own amount.
+_LEAST_CURVATURE = 1e-3
+
+#: Changes that are registered after a screen of all, if a frame is sought.
+_REGISTERED = 12
 
 #: Two or three lengths cannot be told apart if their columns are worse conditioned.
 _WORST_CONDITION = 1e3
@@ -162,11 +173,15 @@ def try_changes(dh: DHRobot, setup: Setup, rows: Rows) -> list[tuple[Array, Chan
         rows: N rows of points or poses, with the joints of ``dh`` in their order.
 
     Returns:
-        Each change, with the rms errors that it leaves: of positions [m], and of orientations [rad], 0 of points.
+        Each change, with the rms errors that it leaves: of positions [m], and of orientations [rad], 0 of points. If a
+        frame is sought, which takes long, only the best ones on a screen of positions.
     """
     tried = _Tried(dh, setup.with_given_fixed(), rows)
-    changes = itertools.chain(*(changes_of(dh) for changes_of in _CHANGES), tried.with_a_number())
-    return [(tried.errors(change), change) for change in (*changes, *tried.with_lengths())]
+    of_rows = itertools.chain(*(changes_of(dh) for changes_of in _CHANGES))
+    changes = [*of_rows, *tried.with_a_number(), *tried.with_lengths()]
+    if any(tried.setup.unknown):
+        changes = sorted(changes, key=tried.position_error)[:_REGISTERED]
+    return [(tried.errors(change), change) for change in changes]
 
 
 def find_wrong_rows(dh: DHRobot, setup: Setup, rows: Rows) -> Reason | None:
@@ -346,33 +361,59 @@ class _Tried:
         moved = with_joints(self.rows, change.in_order(self.rows.joints, self.dh.joint_names))
         return np.nan_to_num(misfit(change.rows, self.setup, moved))
 
+    def position_error(self, change: Change) -> float:
+        """Return the rms error of positions that a change leaves on a screen, all frames and targets unknown [m]."""
+        T_base_tip = change.rows.poses(change.in_order(self.rows.joints, self.dh.joint_names))
+        points = self.rows.measured[None, :, :3]
+        return float(errors_of_tips(self.setup, self.rows, T_base_tip[None], points)[0])
+
     def with_a_number(self) -> Iterator[Change]:
-        """Yield the rows with each number at the value that fits best, by three values; see the module's text."""
+        """Yield the rows with each number at the value that fits best."""
         if self.rows.count - self.setup.count - 1 < _LEFT_OVER:
             return
-        lever = _lever(self.dh)
         for i, row in enumerate(self.dh.table.rows):
             for column in (*_LENGTHS, *_ANGLES):
                 cell = column
                 if column == "theta" and not row.prismatic:
                     cell = _column_of_zero(self.dh, i)
-                stated = getattr(row, cell)
-                step = 0.2 * lever if column in _LENGTHS else 2.0 * np.pi / 3.0
-                s = []
-                for number in (stated - step, stated, stated + step):
-                    position, angle = self.errors(_with_cells(self.dh, [(i, cell, number)]))
-                    s.append((position / lever) ** 2 + (2.0 * np.sin(0.5 * angle)) ** 2)
-                slope, curvature = s[2] - s[0], s[0] - 2.0 * s[1] + s[2]
-                if column in _LENGTHS:
-                    # What registered places make up for has no curvature.
-                    if curvature > 1e-3 * (step / lever) ** 2:
-                        yield _at_a_likely_value(
-                            self.dh, i, cell, stated - 0.5 * step * slope / curvature
-                        )
-                    continue
-                turn = float(np.arctan2(-slope / np.sqrt(3.0), curvature / 3.0))
-                if np.hypot(slope, curvature) > 1e-3 and abs(turn) > _LEAST_TURN:
-                    yield _at_a_likely_value(self.dh, i, cell, _turned(stated + turn))
+                number = self._best_number(i, cell)
+                if number is not None:
+                    yield _at_a_likely_value(self.dh, i, cell, number)
+
+    def _best_number(self, i: int, column: str) -> float | None:
+        """Return the number [m or rad] of a cell that fits best, row from 0; None if it is stated or nothing tells it.
+
+        Near its least value s is a parabola: three values give the next number, and closer ones a better one.
+        """
+        lever, stated = _lever(self.dh), getattr(self.dh.table.rows[i], column)
+
+        def s(number: float) -> float:
+            change = _with_cells(self.dh, [(i, column, number)])
+            if any(self.setup.unknown):
+                return (self.position_error(change) / lever) ** 2
+            position, angle = self.errors(change)
+            return float((position / lever) ** 2 + (2.0 * np.sin(0.5 * angle)) ** 2)
+
+        if column in _LENGTHS:
+            step, starts = _LENGTH_STEP * lever, [stated, -stated, 0.0]
+        else:
+            step = _ANGLE_STEP
+            starts = [stated + k * step for k in range(round(2.0 * np.pi / step))]
+        number = min(dict.fromkeys(starts), key=s)
+        for _ in range(_ROUNDS):
+            before, here, after = (s(number + change) for change in (-step, 0.0, step))
+            curvature = before - 2.0 * here + after
+            # What registered places make up for has no curvature.
+            if (
+                curvature
+                < _LEAST_CURVATURE * (step if column not in _LENGTHS else step / lever) ** 2
+            ):
+                return None
+            number += 0.5 * step * (before - after) / curvature
+            step *= _FINER
+        if column in _LENGTHS:
+            return float(number)
+        return _turned(number) if abs(_turned(number - stated)) > _LEAST_TURN else None
 
     def with_lengths(self) -> Iterator[Change]:
         """Yield the rows with two or three lengths at the values that fit best, if they explain the positions.

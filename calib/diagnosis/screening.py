@@ -43,12 +43,23 @@ def screened_errors(robot: Robot, setup: Setup, rows: Rows, q: Array, points: Ar
     for first in range(0, trials, step):
         part = slice(first, first + step)
         T = robot.poses(q[part].reshape(-1, columns)).reshape(-1, count, 4, 4)
-        errors[part] = _errors(setup, rows, T[..., :3, :3], T[..., :3, 3], points[part])
+        errors[part] = errors_of_tips(setup, rows, T, points[part])
     return errors
 
 
-def _errors(setup: Setup, rows: Rows, R: Array, p: Array, points: Array) -> Array:
-    """Return the rms errors (T,) [m] of tips at R (T, N, 3, 3), p (T, N, 3) and measured points (T, N, 3)."""
+def errors_of_tips(setup: Setup, rows: Rows, T_base_tip: Array, points: Array) -> Array:
+    """Return the rms error of each of T robots, with all targets unknown.
+
+    Args:
+        setup: Frames and targets; a frame with any unknown is taken as wholly unknown.
+        rows: N rows of points, which say frame and target of each.
+        T_base_tip: Pose of each robot's tip at the rows, shape (T, N, 4, 4) [m].
+        points: Measured points of each, shape (T, N, 3) [m].
+
+    Returns:
+        Rms error, the norm of three scalars, shape (T,) [m]; of an unknown frame not quite the least one.
+    """
+    R, p = T_base_tip[..., :3, :3], T_base_tip[..., :3, 3]
     frame, target = rows.samples.frame, rows.samples.target
     to_frame = setup.T_frame_base[frame]
     base_points = np.einsum("nji,tnj->tni", to_frame[:, :3, :3], points - to_frame[:, :3, 3])

@@ -490,8 +490,8 @@ def _trials_of_dh_rows(dh: DHRobot, setup: Setup, poses: Rows) -> Iterator[Trial
     tried = try_changes(dh, setup, poses)
     for _, change in sorted(tried, key=lambda entry: float(entry[0][0]))[:_REGISTERED]:
         rows = with_joints(_as_points(poses), change.in_order(poses.joints, dh.joint_names))
-        # One cell without a free number is likelier than what has its effect.
-        factor = _PLAIN if len(change.cells) == 1 and not change.free else _ONE_OF_MANY
+        # One cell is likelier than what has its effect, and what a free number explains has to be far more.
+        factor = (_PLAIN if len(change.cells) == 1 else _ONE_OF_MANY) * (1.0 + change.free)
         yield Trial(factor, change.robot(), setup, rows, change.why, change.reason_values)
 
 
