@@ -287,6 +287,9 @@ def find_usual_mistake(
         ),
         _pairs(robot, table, setup, rows, setups),
     ]
+    # Where everything is given, as in what a controller shows of its rows, the orientations have to agree too.
+    given_places = setup.with_given_fixed()
+    all_given = dh is not None and given_places.count == 0
     explanations = [(False, turned.values["error_m"], turned)] if turned else []
     for trials in searches:
         for trial in trials:
@@ -294,9 +297,13 @@ def find_usual_mistake(
             weighted = trial.factor * error
             largest = _PLAUSIBLE if trial.why is Why.TWO_MISTAKES else _EXPLAINED
             far_better = weighted <= _FAR_BETTER * min(given, _spread(trial.rows.measured))
-            if error <= largest and far_better:
-                reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
-                explanations.append((_contradicts_orientations(trial, poses), weighted, reason))
+            if error > largest or not far_better:
+                continue
+            held = all_given and trial.why is not Why.TARGET_ELSEWHERE
+            if held and _contradicts_orientations(replace(trial, setup=given_places), poses):
+                continue
+            reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
+            explanations.append((_contradicts_orientations(trial, poses), weighted, reason))
         # One that leaves more than an uncalibrated arm has may be half of the truth.
         if any(not c and r.values["error_m"] < _PLAUSIBLE for c, _, r in explanations):
             break
