@@ -39,6 +39,7 @@ from calib.robot.dh_file import read_dh_robot
 from calib.robot.dh_rows import MODIFIED, STANDARD, DHRobot, DHRow, DHTable, screw
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.robot.ur_models import MODELS
 from calib.robot.urdf import urdf_of_dh
 from calib.verbs.simulate.truth import draw_truth
 
@@ -270,6 +271,10 @@ def remedied(dh: DHRobot, values: Mapping[str, Any]) -> DHRobot | None:
         factor = {"cm": 10.0, "m": 1e3, "in": 25.4, "rad": np.degrees(1.0)}[values["unit"]]
         columns = [c for c in ("d", "a", "theta", "alpha") if c in values["what"].split()]
         rows = [replace(row, **{c: factor * getattr(row, c) for c in columns}) for row in rows]
+    elif code == "dh_variant":
+        (model,) = (model for model in MODELS if model.name == values["arm"])
+        lengths = zip(rows, model.rows, strict=True)
+        rows = [replace(row, a=float(a), d=float(d)) for row, (_, a, d, _) in lengths]
     elif code == "joints_turned":  # the sense of joints, or the sign of their readings
         turned = values["joints"].split(", ")
         rows = [replace(r, direction=r.direction * (-1 if r.joint in turned else 1)) for r in rows]

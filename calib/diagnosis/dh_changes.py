@@ -296,17 +296,26 @@ def _other_convention(dh: DHRobot) -> Iterator[Change]:
 
 
 def _other_arms(dh: DHRobot) -> Iterator[Change]:
-    """Yield the other arms of Universal Robots, if the rows have the angles of these."""
+    """Yield the arms of Universal Robots, if the rows have their angles; of a slip in one or two cells, these cells.
+
+    Arms differ in more lengths than two.
+    """
+    rows = dh.table.rows
     if dh.table.convention == MODIFIED:
         return
-    alphas = [row.alpha for row in dh.table.rows]
+    alphas = [row.alpha for row in rows]
     for model in MODELS:
         _, a, d, of_arm = model.rows.T
-        if len(alphas) == len(of_arm) and np.allclose(alphas, of_arm, atol=_LEAST_TURN):
-            rows = {
-                i: replace(row, a=float(a[i]), d=float(d[i])) for i, row in enumerate(dh.table.rows)
-            }
-            yield Change(_with_rows(dh, rows), Why.DH_VARIANT, values={"arm": model.name})
+        if len(alphas) != len(of_arm) or not np.allclose(alphas, of_arm, atol=_LEAST_TURN):
+            continue
+        lengths = [(i, "a", float(a[i])) for i in range(len(rows))]
+        lengths += [(i, "d", float(d[i])) for i in range(len(rows))]
+        changed = _with_cells(
+            dh, [c for c in lengths if abs(c[2] - getattr(rows[c[0]], c[1])) > _SAME]
+        )
+        if len(changed.cells) > 2:
+            changed = Change(changed.rows, Why.DH_VARIANT, values={"arm": model.name})
+        yield changed
 
 
 def _other_units(dh: DHRobot) -> Iterator[Change]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -272,6 +272,10 @@ def test_a_column_in_another_unit_and_another_arm_are_named(tmp_path):
     reason = told(other, shown(other), tmp_path)
     assert reason is not None
     assert (reason.why, reason.values["arm"]) == (Why.DH_VARIANT, "UR10e")
+
+    # One length of it is a slip, and no other arm.
+    slip = Spoilt(table_text(with_cell(true, "J5", d=19.85)), Why.DH_CELLS, (("J5", "d", 119.85),))
+    assert is_named(told(slip, shown(replace(slip, true=true)), tmp_path), slip, within=0.001)
 
 
 def test_of_two_mistakes_none_is_named(tmp_path):
