@@ -91,7 +91,7 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     families = []
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
-        moves = joint_displacements(robot, terms, samples.q, samples.load)
+        moves = joint_displacements(robot, terms, samples.q, samples.load, samples.moves)
         if np.max(np.abs(moves), initial=0.0) > _NO_MOTION:
             families.append(family)
     return tuple(families)
