@@ -56,8 +56,7 @@ class Layout:
     #: Columns whose words make the group's name, in the order of the table.
     groups: Columns
     #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``moves``, ``order``,
-    #: ``points``,
-    #: ``board_points``, ``orientation`` (as many as its convention has), the noise of each unit (``sigma``,
+    #: ``points``, ``board_points``, ``orientation`` (as many as its convention has), the noise of each unit (``sigma``,
     #: ``sigma_angle``), ``covariances``, 36 of them or none, and each reading of a kind by its name.
     blocks: Mapping[str, Columns]
     #: Kinds of the rows; more than one only with a column ``kind``.
@@ -290,6 +289,7 @@ def _joints(
     taken = {*reserved(), *ORIENTATION}
     if joint_names is None:
         taken.update(*(row.columns for row in conventions_of(table, named, (), options)))
+        taken.update(name + MOVE for name in named)
     available = {name: column for name, column in named.items() if name not in taken}
     if joint_names is None:
         joint_names = []

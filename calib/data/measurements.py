@@ -129,6 +129,11 @@ class Measurements(Value):
     unmeasured: tuple[int, ...] = ()
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
+    #: Names of the joints whose readings were brought back into the limits by `calib.data.whole_turns.brought_back`.
+    turned: tuple[str, ...] = ()
+    #: Unit in which the file gave joint values and points, by the column's name: ``{"joint_1": "deg", "x": "mm"}``;
+    #: empty without a file.
+    units: Mapping[str, str] = field(default_factory=dict)
     #: Convention in which the table gave the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty
     #: if it gave none.
     orientation: str = ""
@@ -144,8 +149,8 @@ class Measurements(Value):
     #: the true orientation to the measured one [rad], along the measurement frame's axes; NaN in rows without one.
     #: None: no row has one.
     covariances: Array | None = None
-    #: Last move of each joint before the row, shape (N, n), [rad] or [m], see `calib.numerics.moves.last_moves`; 0 where
-    #: it is not known. None: the rows are in the order of their measurement, and their joint values tell.
+    #: Last move of each joint before the row, shape (N, n), [rad] or [m], see `calib.numerics.moves.last_moves`; 0
+    #: where it is not known. None: the rows are in the order of their measurement, and their joint values tell.
     moves: Array | None = None
 
     def __post_init__(self) -> None:
@@ -153,7 +158,7 @@ class Measurements(Value):
         check_argument_types(self)
         fill = partial(object.__setattr__, self)
         count = len(np.asarray(self.points))
-        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies"):
+        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies", "turned"):
             fill(name, tuple(getattr(self, name)))
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, (_, word) in WORD_COLUMNS.items():
@@ -168,6 +173,7 @@ class Measurements(Value):
         readings = checked_readings(labels, given, self.pair_rows)
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
+        fill("units", ReadOnlyMapping(self.units))
 
         is_oriented = self.where(lambda kind: kind.orientation)
         for name, tail, rows in (
@@ -182,8 +188,10 @@ class Measurements(Value):
             fill(name, array)
         moves = last_moves(self.joints) if self.moves is None else self.moves
         every_row = np.ones(count, dtype=np.bool_)
-        moves = checked_numbers(labels, "moves", moves, (len(self.joint_names),), every_row, _REACH)
-        fill("moves", moves)
+        fill(
+            "moves",
+            checked_numbers(labels, "moves", moves, (len(self.joint_names),), every_row, _REACH),
+        )
         if self.rotations is not None:
             check_rotations(labels, self.rotations, is_oriented)
         if self.torques is not None:
