@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.basics.arguments import check_path, check_type
+from calib.basics.arguments import check_path, check_type, finite_numbers
 from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.values import Value, shown_by
 from calib.data.cell import Cell
@@ -25,6 +25,7 @@ from calib.fit.registration.setup import Setup
 from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.moves import last_moves
 from calib.result.fitted_model import FittedModel, NonGeometric, ParameterEstimate
 from calib.result.joint_zeros import JointZeros
 from calib.result.parts import FitInMemory, Method, Noise, ResultRows, Source, Trust
@@ -40,7 +41,7 @@ _BETWEEN = 73
 _SAME = 1e-9
 
 #: Arguments of a prediction: where it is made, and with which model.
-_WHERE = ("target", "group", "non_geometric")
+_WHERE = ("target", "group", "non_geometric", "moves")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -346,8 +347,9 @@ class Calibration(Value):
         target: str | None = None,
         group: str | None = None,
         payload: Payload | None = None,
+        moves: ArrayLike | None = None,
     ) -> Samples:
-        """Return joint values as a prediction takes them, with frame, target, and the loads on the joints.
+        """Return joint values as a prediction takes them, with frame, target, loads and last moves of the joints.
 
         Names of stations and targets are those of ``setup``.
 
@@ -357,10 +359,13 @@ class Calibration(Value):
             group: Name of the station, which has one measurement frame; None: the first.
             payload: Point mass that the tip carries; None: that of the measurements. It counts for a non-geometric
                 model only.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
-            N samples: the joint values, shape (N, m); the index of the frame and of the target of each, from 0; and the
-            loads of gravity on the joints, see `gravity_loads`, None if the result has no non-geometric model.
+            N samples: the joint values, shape (N, m); the index of the frame and of the target of each, from 0; the
+            loads of gravity on the joints, see `gravity_loads`, None if the result has no non-geometric model; and the
+            last moves.
 
         Raises:
             ArgumentError: ``q`` is not made of numbers, or the payload is of another type.
@@ -371,7 +376,11 @@ class Calibration(Value):
         load = None
         if self.non_geometric is not None:
             load = self.non_geometric.load(self.nominal, values, payload)
-        samples = Samples.at(values, load)
+        if moves is None:
+            known_moves = last_moves(values)
+        else:
+            known_moves = finite_numbers("moves", moves, values.shape, "one number for each of q")
+        samples = Samples.at(values, load, known_moves)
         return replace(
             samples,
             frame=_repeated_index("station", group, self.setup.groups, len(values)),
@@ -385,6 +394,7 @@ class Calibration(Value):
         target: str | None = None,
         group: str | None = None,
         non_geometric: bool = True,
+        moves: ArrayLike | None = None,
     ) -> Array:
         """Predict calibrated T_frame_target by the non-geometric model if there is one, else by the geometry.
 
@@ -397,6 +407,8 @@ class Calibration(Value):
                 stands.
             non_geometric: Whether to use the non-geometric model, if there is one, with the payload of the
                 measurements; else the geometry of the URDF.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
             shape (N, 4, 4), [m].
@@ -406,7 +418,9 @@ class Calibration(Value):
             ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         part = self.part(non_geometric=non_geometric)
-        poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
+        poses = part.kinematics.poses(
+            part.x, self.samples(q, target=target, group=group, moves=moves)
+        )
         if group is None and not self.rows.tells_place:
             poses = rigid_inverse(part.setup.T_frame_base[0]) @ poses
         return poses
@@ -419,8 +433,8 @@ class Calibration(Value):
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             **where: Arguments of `predict_poses`: ``target`` and ``group``, names of the target and of the station,
-                each the first if it is not given; and ``non_geometric``, False to use the geometry of the URDF
-                alone.
+                each the first if it is not given; ``non_geometric``, False to use the geometry of the URDF
+                alone; and ``moves``, if the rows are not in the order in which the robot goes through them.
 
         Returns:
             shape (N, 3), [m]; in the base if no row determines where it stands and no station is named.
@@ -444,6 +458,7 @@ class Calibration(Value):
         target: str | None = None,
         group: str | None = None,
         non_geometric: bool = True,
+        moves: ArrayLike | None = None,
     ) -> Array:
         """Return the standard deviation of `predict`, by the non-geometric model if there is one, else the geometry.
 
@@ -457,6 +472,8 @@ class Calibration(Value):
             group: Name of the station whose frame is meant; None: the first, or the base if no row determines where it
                 stands.
             non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
             shape (N,), [m], of the three axes together.
@@ -466,17 +483,21 @@ class Calibration(Value):
             ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         part = self.part(non_geometric=non_geometric)
-        samples = self.samples(q, target=target, group=group)
+        samples = self.samples(q, target=target, group=group, moves=moves)
         in_base = group is None and part.base_motion is not None
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
-    def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
+    def tip_poses(
+        self, q: ArrayLike, *, payload: Payload | None = None, moves: ArrayLike | None = None
+    ) -> Array:
         """Predict calibrated T_base_tip by the non-geometric model if there is one, else by the geometry, ``robot``.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             payload: Point mass that the tip carries; None: that of the measurements. It counts for a non-geometric
                 model only.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
             shape (N, 4, 4), pose of the tip in the base, [m].
@@ -488,7 +509,7 @@ class Calibration(Value):
         if self.non_geometric is None:
             check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
             return self.robot.poses(q)
-        return self.non_geometric.tips(self.samples(q, payload=payload))
+        return self.non_geometric.tips(self.samples(q, payload=payload, moves=moves))
 
     def complete_cell(self, cell: Cell) -> Cell:
         """Return a cell with the cameras and boards that the fit began with, if it gives none of its own.

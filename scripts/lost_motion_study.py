@@ -1,0 +1,142 @@
+"""Lost motion of joints: whether it is found where there is some, and only there.
+
+    python scripts/lost_motion_study.py 60
+
+Each run draws an arm with geometric errors of usual size, 40 poses in the order in which it goes to them, and points
+with noise. The joints stop short of their readings by up to 0.05 to 5 mrad (``sign``), or by up to as much after a move
+of a radian (``creep``), or not (``none``); in ``shuffled`` rows of ``sign`` lost their order. The displacement of the
+joints is computed here, by a loop over the rows, without calib's families.
+
+Printed are how often a family of lost motion is chosen, and the error at other poses, in their own order, over that of
+a fit that is told the true model: the mean of both, and how often it is beyond 1.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from arms import load_arm
+from studies import (
+    add_noise,
+    log_uniform,
+    print_table,
+    rms_length,
+    run_cases,
+    study_parser,
+)
+
+from calib.basics.arrays import Array
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
+from calib.robot.ranges import random_joint_values
+from calib.verbs.simulate.truth import draw_truth
+
+ARMS = ("ur5", "panda", "irb120", "iiwa")
+
+#: Noise of a coordinate [m].
+SIGMA = 5e-5
+
+#: Range of the largest lost motion of a joint [rad], or of that after a move of a radian.
+SIZES = (0.05e-3, 5e-3)
+
+#: Poses that are fitted, and others.
+POSES, OTHER = 40, 200
+
+#: The true model of each case.
+CASES = {"sign": "dh+lost_motion", "creep": "dh+creep", "none": "dh", "shuffled": "dh"}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One arm."""
+
+    chosen: bool  # Whether a family of lost motion was chosen
+    use: str  # The verdict on the model that predicts
+    error: float  # Of predictions at the other poses, rms [m]
+    known: float  # The same of the fit that is told the true model [m]
+    nominal: float  # The same of the nominal robot with the fitted target and frame [m]
+
+
+def displaced(q: Array, sizes: Array, case: str) -> Array:
+    """Return the true joint values of an arm that goes through readings (N, m) [rad], one row after the other."""
+    true = q.copy()
+    for i in range(1, len(q)):
+        for k, size in enumerate(sizes):
+            move = q[i, k] - q[i - 1, k]
+            if case in ("sign", "shuffled"):
+                true[i, k] -= size * (1.0 if move > 0.0 else -1.0)
+            elif case == "creep":
+                true[i, k] -= size * move
+    return true
+
+
+def run(case: str, seed: int) -> Outcome:
+    """Draw an arm, measure it, and calibrate it."""
+    rng = np.random.default_rng([seed, list(CASES).index(case)])
+    robot = load_arm(ARMS[seed % len(ARMS)])
+    cell = Cell(estimate_frame=bool(rng.integers(2)))
+    truth = draw_truth(robot, "dh", {}, seed, cell=cell)
+    sizes = log_uniform(rng, *SIZES) * rng.uniform(0.0, 1.0, len(robot.joint_names))
+    q = random_joint_values(robot, POSES, seed + 1000)
+    points = add_noise(truth.points(displaced(q, sizes, case)), SIGMA, rng)
+    if case == "shuffled":
+        order = rng.permutation(POSES)
+        q, points = q[order], points[order]
+    table = Measurements(robot.joint_names, q, points)
+    other = random_joint_values(robot, OTHER, seed + 2000)
+    if case == "shuffled":  # what there is to know of them
+        true = truth.points(other)
+    else:
+        true = truth.points(displaced(other, sizes, case))
+
+    result = calibrate(robot, table, cell=cell)
+    told = calibrate(robot, table, cell=cell, model=CASES[case], validate=False)
+
+    def error(of: Calibration) -> float:
+        """Return the error of its predictions at the other poses, rms [m]."""
+        return rms_length(of.predict(other) - true)
+
+    verdict = result.verdict_on(non_geometric=True)
+    name = "" if result.non_geometric is None else result.non_geometric.name
+    return Outcome(
+        chosen="lost_motion" in name or "creep" in name,
+        use="" if verdict is None else verdict.use,
+        error=error(result),
+        known=error(told),
+        nominal=rms_length(robot.poses(other)[:, :3, 3] - true),
+    )
+
+
+def rows(runs: int, first: int, workers: int) -> Iterator[list[str]]:
+    """Yield the figures of each case."""
+    seeds = range(first, first + runs)
+    for case, outcomes in run_cases(run, CASES, seeds, workers=workers):
+        error = np.array([o.error for o in outcomes])
+        known = np.array([o.known for o in outcomes])
+        yield [
+            case,
+            f"{sum(o.chosen for o in outcomes)} of {runs}",
+            f"{1e3 * error.mean():.4f}",
+            f"{error.mean() / known.mean():.3f}",
+            f"{np.exp(np.median(np.log(error / known))):.3f}",
+            f"{int(np.sum(error > 1.1 * known))} of {runs}",
+            f"{sum(o.use == 'use' for o in outcomes)} of {runs}",
+        ]
+
+
+def main() -> None:
+    """Run the study and print its table."""
+    parser = study_parser(__doc__, parallel=True)
+    parser.add_argument("runs", type=int, nargs="?", default=60)
+    parser.add_argument("--seed", type=int, default=0, help="the first seed")
+    given = parser.parse_args()
+    header = ("case", "chosen", "error [mm]", "over known", "median", "beyond 1.1", "use")
+    print_table(header, rows(given.runs, given.seed, given.workers))
+
+
+if __name__ == "__main__":
+    main()
