@@ -214,6 +214,8 @@ class Factor(Value):
     slope: Callable[[JointState], Array] | None
     #: True if it needs the load on the joints.
     loaded: bool = False
+    #: True if it depends on the joint's last move; else that is not told.
+    moved: bool = False
     #: True if there is one for each later point of the chain, ``<joint>.<name>[<point>]``.
     later: bool = False
     #: The name of that point; "" if ``later`` is False or the point is not chosen yet.
@@ -250,6 +252,9 @@ class Family(Value):
     positive: bool = False
     #: A sliding joint's typical error over that of a turning one.
     lever: float = 1.0
+    #: Logarithm of how much rarer it is than others: what a model must win by it, in log-likelihood, beyond their cost.
+    #: A rare family is offered, but is not part of the first, largest fit, which would explain outliers by it.
+    rarity: float = 0.0
     #: Description of one of its errors, for the documentation: ``"the relative error of a gear ratio"``.
     meaning: str = ""
 
@@ -268,6 +273,11 @@ class Family(Value):
     def loaded(self) -> bool:
         """True if it needs the load on the joints."""
         return any(factor.loaded for factor in self.factors)
+
+    @property
+    def moved(self) -> bool:
+        """True if it depends on the joints' last moves, and so on the order of the rows."""
+        return any(factor.moved for factor in self.factors)
 
 
 #: The family of lengths of the geometry [m].
@@ -289,10 +299,15 @@ _COS_2 = Factor(
     "cos_2", lambda state: np.cos(2.0 * state.q), lambda state: -2.0 * np.sin(2.0 * state.q)
 )
 # A command that is corrected by a fraction of a degree changes neither the sign nor much of the length of a move.
-_LOST_MOTION = Factor("lost_motion", lambda state: -np.sign(state.last_move), slope=None)
-_CREEP = Factor("creep", lambda state: -state.last_move, slope=None)
+_LOST_MOTION = Factor(
+    "lost_motion", lambda state: -np.sign(state.last_move), slope=None, moved=True
+)
+_CREEP = Factor("creep", lambda state: -state.last_move, slope=None, moved=True)
 _COMPLIANCE = Factor("compliance", lambda state: state.load, slope=None, loaded=True)
 _GRAVITY = Factor("gravity", lambda state: state.lever, slope=None, loaded=True, later=True)
+
+#: Rarity of families that few arms need: odds of 20 to 1.
+_RARE = float(np.log(20.0))
 
 _ROWS = (
     Family(LENGTH, M, prior=3e-3, typical=0.3e-3, meaning="an error in length"),
@@ -321,6 +336,7 @@ _ROWS = (
         prior=1e-3,
         typical=0.2e-3,
         factors=(_SIN_2, _COS_2),
+        rarity=_RARE,
         meaning="an encoder's or gear's twice-per-turn error",
     ),
     Family(
@@ -329,6 +345,7 @@ _ROWS = (
         prior=0.3e-3,
         typical=0.2e-3,
         factors=(_LOST_MOTION,),
+        rarity=_RARE,
         sliding=M,
         meaning="the angle by which a joint stops short after a move, by the direction it came from",
     ),
@@ -338,6 +355,7 @@ _ROWS = (
         prior=1e-3,
         typical=0.3e-3,
         factors=(_CREEP,),
+        rarity=_RARE,
         sliding=M_PER_M,
         meaning="the share of its last move by which a joint is short",
     ),

@@ -142,7 +142,7 @@ def joint_displacements(
             chain=chain,
             loads=load,
             point=term.factor.point,
-            moves=moved_values,
+            moves=moved_values if term.factor.moved else None,
         )
         of_joint = term.factor.value(state)
         moved[:, :, k] = of_joint[:, None] * driven
