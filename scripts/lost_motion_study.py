@@ -4,8 +4,8 @@
 
 Each run draws an arm with geometric errors of usual size, 40 poses in the order in which it goes to them, and points
 with noise. The joints stop short of their readings by up to 0.05 to 5 mrad (``sign``), or by up to as much after a move
-of a radian (``creep``), or not (``none``); in ``shuffled`` the signs are drawn at random, whatever the moves. The displacement of the
-joints is computed here, by a loop over the rows, without calib's families.
+of a radian (``creep``), or not (``none``); in ``shuffled`` the signs are drawn at random, whatever the moves. The
+displacement of the joints is computed here, by a loop over the rows, without calib's families.
 
 Printed are how often a family of lost motion is chosen, and the error at other poses, in their own order, over that of
 a fit that is told the true model: the mean of both, and how often it is beyond 1.1.

@@ -101,6 +101,7 @@ def _against(evidence: Evidence) -> list[Reason]:
     fall.
     """
     unproven, at_noise_level = evidence.unproven, evidence.at_noise_level
+    validation = evidence.validation
     sufficient = evidence.noise_is_plausible and not evidence.few_for_full_model
     nothing = unproven and at_noise_level and sufficient
     few = evidence.few or (at_noise_level and evidence.few_for_full_model)
@@ -111,12 +112,16 @@ def _against(evidence: Evidence) -> list[Reason]:
     much_expected = evidence.unpredictable and evidence.remains_everywhere > REMAINS
     elsewhere = much_expected and not good_where_measured
 
+    # Unless validation rows show that the corrected URDF is better.
+    shown = validation.exist and validation.fall and not validation.fall_little
+    hopeless = unproven and _has_better(evidence) and not (shown and evidence.gain > 0.0)
+
     both = _both(evidence)
     worse = replace(_many_outliers(evidence), why=Why.WORSE_WITH_OUTLIERS)
     first = _applicable(
         (nothing, Reason.of(Why.NOTHING_TO_GAIN, before=evidence.before)),
         (_is_absurd(evidence.after), Reason.of(Why.STILL_FAR_OFF, **both)),
-        (unproven and _has_better(evidence), _better(Why.NO_URDF_HOLDS, evidence)),
+        (hopeless, _better(Why.NO_URDF_HOLDS, evidence)),
         (too_few, Reason.of(Why.TOO_FEW, **both | counts)),
         (evidence.gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
         (evidence.worse_with_outliers, worse),
@@ -124,7 +129,6 @@ def _against(evidence: Evidence) -> list[Reason]:
         (elsewhere, Reason.of(Why.UNKNOWN_ELSEWHERE, **_over_limits(evidence))),
     )[:1]
 
-    validation = evidence.validation
     fails = validation.exist and not validation.fall
     no_better = Reason.of(Why.VALIDATION_NO_BETTER, **validation.values)
     wrong_input = _doubts(evidence, Role.WRONG_INPUT)

@@ -150,9 +150,9 @@ class Candidate:
 def assess(fitted: Fitted) -> Candidate:
     """Cross-validate a model that was fitted, and weigh the evidence for it.
 
-    With priors the evidence is log L - c_k k - c_g g - c_f, with the restricted log-likelihood log L, for k prior standard
-    deviations that are estimated from the data (0 if they are kept as given) and the geometry's rung g on the ladder,
-    from 0, with the penalties c_k and c_g of each, and the rarity c_f of its families. Without priors it is
+    With priors the evidence is log L - c_k k - c_g g - c_f, with the restricted log-likelihood log L, for k prior
+    standard deviations that are estimated from the data (0 if they are kept as given) and the geometry's rung g on the
+    ladder, from 0, with the penalties c_k and c_g of each, and the rarity c_f of its families. Without priors it is
     -log(rms) / `CLEARLY` - g - f, where log(rms) of held-out errors is the mean over the units that were measured, and
     f the number of families.
 

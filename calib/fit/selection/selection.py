@@ -55,9 +55,10 @@ class Selection:
 def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
     """Choose a geometry, and a non-geometric model if the data support one.
 
-    The search begins with the largest model of usual families, whose priors shrink what the data do not support to nothing, and moves
-    to neighbours of higher evidence, see `Search`. Of many rows a part is used, and the chosen model fitted to all.
-    If the chosen model depends on the order of the rows, and this does not matter, it is searched without such errors.
+    The search begins with the largest model of usual families, whose priors shrink what the data do not support to
+    nothing, and moves to neighbours of higher evidence, see `Search`. Of many rows a part is used, and the chosen model
+    fitted to all. If that depends on the order of the rows, and the order does not matter, it is searched once more
+    without such errors.
 
     Args:
         task: The fit; its model does not count.
