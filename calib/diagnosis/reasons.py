@@ -157,6 +157,8 @@ class Why(str, Enum):
     VALIDATION_GAIN = "validation_gain", Role.INFORMATION
     LARGER_MODEL = "larger_model", Role.INFORMATION
     LARGER_NO_CLOSER = "larger_no_closer", Role.INFORMATION
+    STOPS_SHORT = "stops_short", Role.INFORMATION
+    CREEPS = "creeps", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
