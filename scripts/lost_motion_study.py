@@ -31,7 +31,7 @@ from studies import (
     study_parser,
 )
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Mask
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
@@ -130,7 +130,7 @@ def run_program(case: str, seed: int) -> tuple[float, float]:
         """Return the error of commands by a model that is fitted, rms [m]."""
         result = calibrate(robot, table, model=model)
         commands = compensate(result, program, tool="", accept=True)
-        reached = np.isfinite(commands.q).all(axis=1)
+        reached: Mask = np.isfinite(commands.q).all(axis=1)
         run_q = np.where(reached[:, None], commands.q, commands.q_nominal)
         away = truth.points(displaced(run_q, sizes, case, rng)) - commands.T_wanted[:, :3, 3]
         return rms_length(away[1:][reached[1:]])
@@ -178,11 +178,11 @@ def main() -> None:
     parser.add_argument("--program", action="store_true", help="compensated commands instead")
     given = parser.parse_args()
     if given.program:
-        header = ("case", "error [mm]", "over that without", "median", "largest")
-        print_table(header, program_rows(given.runs, given.seed, given.workers))
-        return
-    header = ("case", "chosen", "error [mm]", "over known", "median", "beyond 1.1", "use")
-    print_table(header, rows(given.runs, given.seed, given.workers))
+        of_programs = ("case", "error [mm]", "over that without", "median", "largest")
+        print_table(of_programs, program_rows(given.runs, given.seed, given.workers))
+    else:
+        header = ("case", "chosen", "error [mm]", "over known", "median", "beyond 1.1", "use")
+        print_table(header, rows(given.runs, given.seed, given.workers))
 
 
 if __name__ == "__main__":

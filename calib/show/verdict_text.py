@@ -417,7 +417,7 @@ def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]
 
 
 def _short(values: Mapping[str, Any]) -> str:
-    """Return by how much a joint stops short, or too far: ``0.21 mrad short``; empty for the values of other reasons."""
+    """Return by how much a joint stops short, or too far: ``0.21 mrad short``; empty for values of other reasons."""
     for name, factor, unit in (
         ("lag_rad", 1e3, "mrad"),
         ("lag_m", 1e3, "mm"),
