@@ -8,6 +8,7 @@ path, or one that ends in a dot, puts the keys of an attribute that is a datacla
 from __future__ import annotations
 
 import enum
+import hashlib
 import json
 import math
 import os
@@ -100,6 +101,23 @@ def json_bytes(table: Json) -> bytes:
         lines.append(f" {json.dumps(key)}: {text}")
     # A byte of a file's name that is not UTF-8 is written as JSON's own escape.
     return ("{\n" + ",\n".join(lines) + "\n}\n").encode("utf-8", "backslashreplace")
+
+
+def digest(table: Json) -> str:
+    """Return the SHA-256 of what a table (see `plain`) states, whatever the order of its keys and its layout.
+
+    Numbers count by their shortest decimal form, from which they are read back exactly: a table has the digest that it
+    has after it was written and read.
+
+    Returns:
+        64 hexadecimal digits.
+
+    Example:
+        >>> digest({"a": 1.0, "b": float("nan")}) == digest({"b": None, "a": 1.0})
+        True
+    """
+    text = json.dumps(plain(table), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401  any value

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.basics.arguments import check_path, check_type
 from calib.basics.arrays import Array, rigid_inverse
+from calib.basics.json_files import digest
 from calib.basics.values import Value, shown_by
 from calib.data.cell import Cell
 from calib.data.record import BLANK, Record
@@ -38,6 +39,9 @@ _BETWEEN = 73
 
 #: Origins of one robot differ by rounding [m; rotation matrices: 1].
 _SAME = 1e-9
+
+#: Digits of a run's id: by chance two of a million runs share one with a probability of 0.2 %.
+_RUN_DIGITS = 12
 
 #: Arguments of a prediction: where it is made, and with which model.
 _WHERE = ("target", "group", "non_geometric")
@@ -63,12 +67,13 @@ class Calibration(Value):
         fit              measurements and solved problem; fit_in_memory: the same, None if read from a file
 
     At hand without their part: ``verdict``, ``errors``, ``cross_validation``, ``new_point``, ``parameters``,
-    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``.
+    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``. ``run`` is the id that all files of the result
+    carry.
     """
 
     #: The robot as given
     nominal: Robot
-    #: The calibrated robot: its URDF corrected by the geometry
+    #: The calibrated robot: its URDF corrected by the geometry, with the run, and a verdict ``do not use``, as comments
     robot: Robot
     #: Frames and targets of the nominal robot: as given, or registered
     nominal_setup: Setup
@@ -94,6 +99,10 @@ class Calibration(Value):
     record: Record = BLANK
     #: Measurements and solved problem; None if the result was read from a file
     fit_in_memory: FitInMemory | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        """State run and verdict in the calibrated robot's URDF, whoever writes it."""
+        object.__setattr__(self, "robot", self._described(self.robot))
 
     @staticmethod
     def read_json(path: str | Path) -> Calibration:
@@ -231,6 +240,27 @@ class Calibration(Value):
         return self.fit_in_memory
 
     @property
+    def run(self) -> str:
+        """The id of the run, 12 hexadecimal digits, which its URDF, result file, report and pages carry.
+
+        It is made of what the run computed from what: nominal URDF, chain, table, residuals, and the fitted models. So
+        the same run made again has the same id if its numbers are the same to the last digit.
+        """
+        models: list[Any] = []
+        for model in (self.geometry, self.non_geometric):
+            if model is not None:
+                setup = model.setup
+                models.append((model.model.name, model.x, setup.T_frame_base, setup.T_tip_target))
+        computed = {
+            "urdf": self.nominal.urdf.sha256,
+            "chain": (self.nominal.base, self.nominal.tip),
+            "table": self.source.sha256,
+            "residual": self.rows.residual_calibrated,
+            "models": models,
+        }
+        return digest(computed)[:_RUN_DIGITS]
+
+    @property
     def verdict(self) -> Verdict | None:
         """The verdict on the geometry; None without cross-validation, unless the input is wrong."""
         return self.geometry.verdict
@@ -323,7 +353,8 @@ class Calibration(Value):
             The verdict on the non-geometric model if that is asked for and has one, else that on the geometry; None if
             there is none, as without cross-validation.
         """
-        return self.part(non_geometric=non_geometric).verdict or self.verdict
+        verdict = self.part(non_geometric=non_geometric).verdict
+        return self.verdict if verdict is None else verdict
 
     def part(self, *, non_geometric: bool) -> FittedModel:
         """Return the model to predict with.
@@ -544,7 +575,7 @@ class Calibration(Value):
             ModelError: Its joint readings are coupled differently.
             UrdfError: It lacks one of the joints.
         """
-        return _with_origins_of(self.robot, robot)
+        return self._described(_with_origins_of(self.robot, robot))
 
     def uncorrected(self, robot: Robot) -> Robot:
         """Return a robot with the nominal joint origins of this result, those of its ``nominal``.
@@ -560,7 +591,16 @@ class Calibration(Value):
             ModelError: Its joint readings are coupled differently.
             UrdfError: It lacks one of the joints.
         """
-        return _with_origins_of(self.nominal, robot)
+        nominal = _with_origins_of(self.nominal, robot)
+        if nominal.urdf.run != self.run:
+            return nominal
+        return replace(nominal, urdf=nominal.urdf.with_run("").with_verdict(""))
+
+    def _described(self, robot: Robot) -> Robot:
+        """Return a robot whose URDF states this run and, if it is ``do not use``, the verdict, as comments."""
+        verdict_against = shown_by("show.verdict_text").do_not_use_text(self.verdict)
+        urdf = robot.urdf.with_run(self.run).with_verdict(verdict_against)
+        return replace(robot, urdf=urdf)
 
 
 def is_corrected(result: Calibration, robot: Robot) -> bool:

@@ -2,7 +2,7 @@
 
 A result read back is equal to the one written, field by field, except for ``fit_in_memory``: measurements and solved
 problem are not part of the file. The nominal URDF is, so that a result needs no other file. Numbers that do not exist
-are null.
+are null. The key ``checksum`` is the digest of all others: a file that was changed is refused.
 """
 
 from __future__ import annotations
@@ -22,7 +22,16 @@ from calib.basics.arguments import check_type
 from calib.basics.arrays import Array, read_only
 from calib.basics.channels import Channels, residual_unit
 from calib.basics.files import write_atomically
-from calib.basics.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
+from calib.basics.json_files import (
+    Json,
+    JsonLayout,
+    Key,
+    damage,
+    digest,
+    json_bytes,
+    nested,
+    read_json,
+)
 from calib.basics.records import json_key
 from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
@@ -42,6 +51,7 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import Calibration
+from calib.result.file_check import check_against_itself
 from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.parts import Method, ResultRows, Source
 from calib.result.result_optics import ResultOptics
@@ -52,6 +62,9 @@ from calib.version import __version__
 
 #: The layout of a result.
 SCHEMA = 7
+
+#: The key of the digest of all other entries; missing in files of earlier versions.
+_CHECKSUM = "checksum"
 
 #: A calibration result, or the path of its file.
 ResultInput: TypeAlias = Calibration | str | Path
@@ -318,6 +331,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
     # What the file has besides the attributes of a result, by its path: most of it for other programs.
     derived = {
         "schema": SCHEMA,
+        "run": c.run,
         "robot": {
             "name": robot.name,
             "base": robot.base,
@@ -392,7 +406,8 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    return write_table(result_table(c) | dict(extra or {}), path, overwrite=overwrite)
+    table = result_table(c) | dict(extra or {})
+    return write_table(table | {_CHECKSUM: digest(table)}, path, overwrite=overwrite)
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -422,7 +437,7 @@ def read_result(path: str | Path) -> Calibration:
         The result, equal to the one written except for its measurements and fits in memory.
 
     Raises:
-        FileError: It cannot be read, is not a result, of another schema, or damaged.
+        FileError: It cannot be read, is not a result, of another schema, damaged, or was changed since calib wrote it.
         PluginError: It uses a family or a kind of a plugin that is not loaded.
     """
     expected = (
@@ -430,9 +445,18 @@ def read_result(path: str | Path) -> Calibration:
         "result.json"
     )
     table = read_json(path, "calibration result", SCHEMA, expected)
+    checksum = table.pop(_CHECKSUM, None)
+    if checksum not in (None, digest(table)):
+        raise FileError(
+            f"{path}: the result was changed after calib wrote it: it is damaged, or was edited, and 'checksum' is of "
+            "other content. Take the file as it was written, or write it again with 'calib calibrate --json': what is "
+            "to be different is said by options and the cell file, and --accept uses a result in spite of its verdict."
+        )
     try:
         plugins.check_registered(_registered_names(table), table.get("plugins", ()))
-        return _calibration(table, Path(path).parent)
+        result = _calibration(table, Path(path).parent)
+        check_against_itself(table, result_table(result), result)
+        return result
     except PluginError as error:
         raise PluginError(f"{path}: {error}") from error
     except (

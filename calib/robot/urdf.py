@@ -38,6 +38,9 @@ SAME = 1e-14
 #: The beginning of a comment that states the verdict on a corrected URDF.
 _VERDICT = "calib verdict: "
 
+#: The beginning of a comment that states the run of which a corrected URDF is a file.
+_RUN = "calib run: "
+
 
 @dataclass(frozen=True, slots=True)
 class Urdf(Value):
@@ -104,9 +107,12 @@ class Urdf(Value):
     @property
     def verdict(self) -> str:
         """The verdict that a comment of the file states, as `with_verdict` wrote it; empty if there is none."""
-        stated = [comment.text.strip() for comment in self._document.comments]
-        verdicts = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
-        return verdicts[0] if verdicts else ""
+        return self._stated(_VERDICT)
+
+    @property
+    def run(self) -> str:
+        """The run that a comment of the file states, as `with_run` wrote it; empty if there is none."""
+        return self._stated(_RUN)
 
     @property
     def dh(self) -> DHRobot | None:
@@ -249,16 +255,19 @@ class Urdf(Value):
         Returns:
             The URDF; all other bytes are kept.
         """
-        document = self._document
-        patches = [
-            (comment.start, document.line_after(comment.end), b"")
-            for comment in document.comments
-            if comment.text.strip().startswith(_VERDICT)
-        ]
-        if text:
-            first = document.root.start
-            patches.append((first, first, document.comment(_VERDICT + text)))
-        return self._patched(patches) if patches else self
+        return self._with_comment(_VERDICT, text)
+
+    def with_run(self, run: str) -> Urdf:
+        """Return the URDF with the id of a run as a comment on a line before ``<robot>``, in place of one that it has.
+
+        Args:
+            run: The id, which `run` reads back, see `calib.result.calibration.Calibration.run`; empty for a URDF
+                without such a comment.
+
+        Returns:
+            The URDF; all other bytes are kept.
+        """
+        return self._with_comment(_RUN, run)
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the bytes to a file, whole or not at all.
@@ -275,6 +284,31 @@ class Urdf(Value):
         """
         check_no_xacro(path)
         return write_atomically(path, self.data, overwrite=overwrite)
+
+    def _stated(self, prefix: str) -> str:
+        """Return what the first comment with a prefix states after it; empty if there is none."""
+        for comment in self._document.comments:
+            text = comment.text.strip()
+            if text.startswith(prefix):
+                return text.removeprefix(prefix)
+        return ""
+
+    def _with_comment(self, prefix: str, text: str) -> Urdf:
+        """Return the URDF with one comment of a prefix, on a line before ``<robot>``; with none if the text is empty.
+
+        One that states the text already stays where it is.
+        """
+        document = self._document
+        stated = [c for c in document.comments if c.text.strip().startswith(prefix)]
+        first = document.root.start
+        patches = [(c.start, document.line_after(c.end), b"") for c in stated]
+        if text:
+            comment = document.comment(prefix + text)
+            line = b"".join(self.data[start:end] for start, end, _ in patches)
+            if line == comment and patches[0][0] < first:
+                return self
+            patches.append((first, first, comment))
+        return self._patched(patches) if patches else self
 
     def _patched(self, patches: list[tuple[int, int, bytes]]) -> Urdf:
         """Return the URDF with the bytes from start to before end replaced, for every (start, end, new bytes)."""

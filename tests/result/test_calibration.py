@@ -37,8 +37,8 @@ def test_predictions_are_what_residuals_are_made_of(case):
 def test_the_verdict_is_that_on_the_model_with_which_one_predicts(case):
     _, c = case
     assert c.verdict_on(non_geometric=False) is c.verdict
-    of_model = c.non_geometric and c.non_geometric.verdict
-    assert c.verdict_on(non_geometric=True) is (of_model or c.verdict)
+    of_model = None if c.non_geometric is None else c.non_geometric.verdict
+    assert c.verdict_on(non_geometric=True) is (c.verdict if of_model is None else of_model)
     without = replace(c, non_geometric=None)
     assert without.verdict_on(non_geometric=True) is c.verdict
 
