@@ -243,21 +243,15 @@ class Calibration(Value):
     def run(self) -> str:
         """The id of the run, 12 hexadecimal digits, which its URDF, result file, report and pages carry.
 
-        It is made of what the run computed from what: nominal URDF, chain, table, residuals, and the fitted models. So
-        the same run made again has the same id if its numbers are the same to the last digit.
+        It is made of the nominal URDF, the chain, the table and the fitted models. So the same run made again has the
+        same id if its numbers are the same to the last digit.
         """
-        models: list[Any] = []
+        computed: list[Any] = [self.nominal.urdf.sha256, self.nominal.base, self.nominal.tip]
+        computed.append(self.source.sha256)
         for model in (self.geometry, self.non_geometric):
             if model is not None:
                 setup = model.setup
-                models.append((model.model.name, model.x, setup.T_frame_base, setup.T_tip_target))
-        computed = {
-            "urdf": self.nominal.urdf.sha256,
-            "chain": (self.nominal.base, self.nominal.tip),
-            "table": self.source.sha256,
-            "residual": self.rows.residual_calibrated,
-            "models": models,
-        }
+                computed += [model.model.name, model.x, setup.T_frame_base, setup.T_tip_target]
         return digest(computed)[:_RUN_DIGITS]
 
     @property
@@ -594,12 +588,12 @@ class Calibration(Value):
         nominal = _with_origins_of(self.nominal, robot)
         if nominal.urdf.run != self.run:
             return nominal
-        return replace(nominal, urdf=nominal.urdf.with_run("").with_verdict(""))
+        return replace(nominal, urdf=nominal.urdf.with_comments(run="", verdict=""))
 
     def _described(self, robot: Robot) -> Robot:
         """Return a robot whose URDF states this run and, if it is ``do not use``, the verdict, as comments."""
         verdict_against = shown_by("show.verdict_text").do_not_use_text(self.verdict)
-        urdf = robot.urdf.with_run(self.run).with_verdict(verdict_against)
+        urdf = robot.urdf.with_comments(run=self.run, verdict=verdict_against)
         return replace(robot, urdf=urdf)
 
 
@@ -611,7 +605,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
         robot: A robot with the same chain.
 
     Returns:
-        True for the corrected origins, to rounding, False for the nominal ones.
+        True for the corrected origins, to rounding; False for the nominal ones, also if the result corrects none.
 
     Raises:
         ModelError: It has neither, has another base or tip, or its joint readings are coupled differently.
@@ -623,16 +617,34 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
             f"The result is for --base {chain.base} --tip {chain.tip}, not for '{robot.base}' to "
             f"'{robot.tip}'."
         )
+    joint = joint_of_another_run(result, robot)
+    if joint:
+        runs = f" It is of run {robot.urdf.run}, the result of {result.run}." * bool(robot.urdf.run)
+        raise ModelError(
+            f"{robot.urdf.source}: the origin of '{joint}' is neither the one that the calibration began with nor its "
+            f"corrected one.{runs} Give the URDF that the result was made with, or the corrected URDF in place of the "
+            "result."
+        )
+    return bool(_other_origins(robot, result.uncorrected(robot)))
+
+
+def joint_of_another_run(result: Calibration, robot: Robot) -> str:
+    """Find the first joint of a robot that shows that its URDF is not of a result's run.
+
+    Args:
+        result: The calibration.
+        robot: A robot with the same chain.
+
+    Returns:
+        Name of a joint; empty if all origins are those that the calibration began with, or all are the corrected ones.
+
+    Raises:
+        ModelError: Its joint readings are coupled differently.
+        UrdfError: It lacks one of the joints.
+    """
     if not _other_origins(robot, result.corrected(robot)):
-        return True
-    different = _other_origins(robot, result.uncorrected(robot))
-    if not different:
-        return False
-    raise ModelError(
-        f"{robot.urdf.source}: the origin of '{different[0]}' is neither the one that the "
-        "calibration began with nor its corrected one. Give the URDF that the result was made "
-        "with, or the corrected URDF in place of the result."
-    )
+        return ""
+    return next(iter(_other_origins(robot, result.uncorrected(robot))), "")
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:

@@ -106,12 +106,12 @@ class Urdf(Value):
 
     @property
     def verdict(self) -> str:
-        """The verdict that a comment of the file states, as `with_verdict` wrote it; empty if there is none."""
+        """The verdict that a comment of the file states, as `with_comments` wrote it; empty if there is none."""
         return self._stated(_VERDICT)
 
     @property
     def run(self) -> str:
-        """The run that a comment of the file states, as `with_run` wrote it; empty if there is none."""
+        """The run that a comment of the file states, as `with_comments` wrote it; empty if there is none."""
         return self._stated(_RUN)
 
     @property
@@ -246,28 +246,31 @@ class Urdf(Value):
         before = close - len(robot_indent)
         return self._patched([(before, before, indented)])
 
-    def with_verdict(self, text: str) -> Urdf:
-        """Return the URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it has.
+    def with_comments(self, *, run: str, verdict: str) -> Urdf:
+        """Return the URDF with a run and a verdict as comments, each on a line before ``<robot>``, in place of its own.
 
         Args:
-            text: The verdict and its reason, which `verdict` reads back; empty for a URDF without such a comment.
+            run: The id of a run, which `run` reads back, see `calib.result.calibration.Calibration.run`; empty for no
+                such comment.
+            verdict: The verdict and its reason, which `verdict` reads back; empty for no such comment.
 
         Returns:
             The URDF; all other bytes are kept.
         """
-        return self._with_comment(_VERDICT, text)
-
-    def with_run(self, run: str) -> Urdf:
-        """Return the URDF with the id of a run as a comment on a line before ``<robot>``, in place of one that it has.
-
-        Args:
-            run: The id, which `run` reads back, see `calib.result.calibration.Calibration.run`; empty for a URDF
-                without such a comment.
-
-        Returns:
-            The URDF; all other bytes are kept.
-        """
-        return self._with_comment(_RUN, run)
+        document = self._document
+        wanted = b""
+        for prefix, text in ((_RUN, run), (_VERDICT, verdict)):
+            if text:
+                wanted += document.comment(prefix + text)
+        patches = [
+            (comment.start, document.line_after(comment.end), b"")
+            for comment in document.comments
+            if comment.text.strip().startswith((_RUN, _VERDICT))
+        ]
+        if b"".join(self.data[start:end] for start, end, _ in patches) == wanted:
+            return self
+        first = document.root.start
+        return self._patched([*patches, (first, first, wanted)])
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the bytes to a file, whole or not at all.
@@ -292,23 +295,6 @@ class Urdf(Value):
             if text.startswith(prefix):
                 return text.removeprefix(prefix)
         return ""
-
-    def _with_comment(self, prefix: str, text: str) -> Urdf:
-        """Return the URDF with one comment of a prefix, on a line before ``<robot>``; with none if the text is empty.
-
-        One that states the text already stays where it is.
-        """
-        document = self._document
-        stated = [c for c in document.comments if c.text.strip().startswith(prefix)]
-        first = document.root.start
-        patches = [(c.start, document.line_after(c.end), b"") for c in stated]
-        if text:
-            comment = document.comment(prefix + text)
-            line = b"".join(self.data[start:end] for start, end, _ in patches)
-            if line == comment and patches[0][0] < first:
-                return self
-            patches.append((first, first, comment))
-        return self._patched(patches) if patches else self
 
     def _patched(self, patches: list[tuple[int, int, bytes]]) -> Urdf:
         """Return the URDF with the bytes from start to before end replaced, for every (start, end, new bytes)."""

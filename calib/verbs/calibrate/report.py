@@ -459,6 +459,7 @@ def _files(c: Calibration, command: str, date: str) -> Block:
     m = c.fit.measurements
     return Facts(
         [
+            ("Run", c.run),
             ("Nominal robot", c.nominal.urdf.source or "from memory"),
             ("  SHA-256", c.nominal.urdf.sha256),
             ("Measurements", m.source or "from memory"),
