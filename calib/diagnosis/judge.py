@@ -51,7 +51,9 @@ def judge(evidence: Evidence) -> Verdict:
     far = _is_absurd(before) and evidence.largest > _TOO_FAR
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
     absurd = [
-        *_applicable((far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest))),
+        *_applicable(
+            (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest))
+        ),
         *absurd_noise(evidence.noise),
         *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
     ]
