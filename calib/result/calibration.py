@@ -621,30 +621,34 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
     if joint:
         runs = f" It is of run {robot.urdf.run}, the result of {result.run}." * bool(robot.urdf.run)
         raise ModelError(
-            f"{robot.urdf.source}: the origin of '{joint}' is neither the one that the calibration began with nor its "
-            f"corrected one.{runs} Give the URDF that the result was made with, or the corrected URDF in place of the "
-            "result."
+            f"{robot.urdf.source}: its joint origins are neither those that the calibration began with nor the "
+            f"corrected ones (see '{joint}').{runs} Give the URDF that the result was made with, or the corrected URDF "
+            "in place of the result."
         )
     return bool(_other_origins(robot, result.uncorrected(robot)))
 
 
 def joint_of_another_run(result: Calibration, robot: Robot) -> str:
-    """Find the first joint of a robot that shows that its URDF is not of a result's run.
+    """Find a joint of a robot that shows that its URDF is not of a result's run.
 
     Args:
         result: The calibration.
         robot: A robot with the same chain.
 
     Returns:
-        Name of a joint; empty if all origins are those that the calibration began with, or all are the corrected ones.
+        Name of the first joint whose origin is neither, or else is not nominal; empty if all origins are those that the
+        calibration began with, or all are the corrected ones.
 
     Raises:
         ModelError: Its joint readings are coupled differently.
         UrdfError: It lacks one of the joints.
     """
-    if not _other_origins(robot, result.corrected(robot)):
+    not_corrected = _other_origins(robot, result.corrected(robot))
+    not_nominal = _other_origins(robot, result.uncorrected(robot))
+    if not not_corrected or not not_nominal:
         return ""
-    return next(iter(_other_origins(robot, result.uncorrected(robot))), "")
+    neither = [joint for joint in not_nominal if joint in not_corrected]
+    return (neither or not_nominal)[0]
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:

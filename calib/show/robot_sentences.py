@@ -57,6 +57,6 @@ def other_run_sentence(robot: Robot, result: Calibration, name: str) -> str:
         return ""
     stated = f" (run {robot.urdf.run})" * bool(robot.urdf.run)
     return (
-        f"{robot.urdf.source}{stated} is not of the run of {name} (run {result.run}): the origin of '{joint}' is "
-        "neither the one that the calibration began with nor its corrected one."
+        f"{robot.urdf.source}{stated} is not of the run of {name} (run {result.run}): its joint origins are neither "
+        f"those that the calibration began with nor the corrected ones (see '{joint}')."
     )

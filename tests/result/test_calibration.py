@@ -154,14 +154,17 @@ def test_a_urdf_of_another_run_is_told_by_its_origins(calibrated):
     assert joint_of_another_run(c, other) == joint
     assert [joint_of_another_run(c, robot) for robot in (c.nominal, c.robot)] == ["", ""]
     assert [is_corrected(c, robot) for robot in (c.nominal, c.robot)] == [False, True]
-    with pytest.raises(
-        ModelError, match=f"'{joint}' is neither .* of run 0a1b, the result of {c.run}"
-    ):
+    with pytest.raises(ModelError, match=f"see '{joint}'.* of run 0a1b, the result of {c.run}"):
         is_corrected(c, other)
     said = other_run_sentence(other, c, "r.json")
     assert "(run 0a1b)" in said
     assert f"r.json (run {c.run})" in said
     assert other_run_sentence(c.robot, c, "r.json") == ""
+    # The one joint that is neither is named; without one, one that is corrected.
+    both = c.robot.urdf.with_origins({joint: T})
+    assert joint_of_another_run(c, c.robot.rebuilt(both)) == joint
+    mixed = c.robot.urdf.with_origins({joint: c.nominal.origins()[joint]})
+    assert joint_of_another_run(c, c.robot.rebuilt(mixed)) not in ("", joint)
     # Pages say it below the verdict.
     assert view_of_result(c, other, source="r.json").note.endswith(said)
 
