@@ -31,7 +31,7 @@ from studies import (
     study_parser,
 )
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
@@ -130,10 +130,10 @@ def run_program(case: str, seed: int) -> tuple[float, float]:
         """Return the error of commands by a model that is fitted, rms [m]."""
         result = calibrate(robot, table, model=model)
         commands = compensate(result, program, tool="", accept=True)
-        reached: Mask = np.isfinite(commands.q).all(axis=1)
-        run_q = np.where(reached[:, None], commands.q, commands.q_nominal)
+        run_q = np.where(np.isfinite(commands.q), commands.q, commands.q_nominal)
+        reached = np.flatnonzero(np.isfinite(commands.q[:, 0]))
         away = truth.points(displaced(run_q, sizes, case, rng)) - commands.T_wanted[:, :3, 3]
-        return rms_length(away[1:][reached[1:]])
+        return rms_length(away[reached[reached > 0]])
 
     return error("auto"), error("dh")
 

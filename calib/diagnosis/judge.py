@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -48,13 +49,14 @@ def judge(evidence: Evidence) -> Verdict:
 
     # Errors that no arm has: the input must be wrong, and nothing else about such a fit means anything.
     far = _is_absurd(before) and evidence.largest > _TOO_FAR
-    noisy = {f"noise_{unit}": std for unit, std in evidence.noise.items() if _exceeds(std, unit)}
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
-    absurd = _applicable(
-        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest)),
-        (bool(noisy), Reason.of(Why.NOISE_ABSURD, **noisy)),
-        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
-    )
+    absurd = [
+        *_applicable(
+            (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest))
+        ),
+        *absurd_noise(evidence.noise),
+        *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
+    ]
     if absurd:
         return Verdict(NO, (absurd[0],))
 
@@ -92,6 +94,16 @@ def judge(evidence: Evidence) -> Verdict:
     information = _doubts(evidence, Role.INFORMATION)
     reasons = (*against, *care, *gains, *improvements, *information, *evidence.notes)
     return Verdict(use, reasons)
+
+
+def absurd_noise(noise: Mapping[str, float]) -> list[Reason]:
+    """List the reason that no arm or instrument has such noise, which needs no held-out rows; empty if one may have it.
+
+    Args:
+        noise: Standard deviation of one scalar as estimated, by the symbol of its unit [m], [rad], [px].
+    """
+    absurd = {f"noise_{unit}": std for unit, std in noise.items() if _exceeds(std, unit)}
+    return [Reason.of(Why.NOISE_ABSURD, **absurd)] if absurd else []
 
 
 def _against(evidence: Evidence) -> list[Reason]:

@@ -257,8 +257,13 @@ def pair_of(
 
     result = calibration
     nominal = nominal or result.nominal
-    controller = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
     model = result.non_geometric if non_geometric is not False else None
+    if is_corrected(result, nominal) and model is None:
+        raise ModelError(
+            f"{nominal.urdf.source} has the corrected joint origins of this result: for a controller with this model "
+            "there is nothing to correct, and commands would be corrected twice. For a controller with the nominal "
+            "model give its URDF, from which the calibration started."
+        )
     setup = result.setup if model is None else model.setup
 
     target: str | None = None
@@ -292,7 +297,7 @@ def pair_of(
                 "with any. Leave the payload out; the model 'dh+compliance' estimates compliances."
             )
     return Pair(
-        nominal=Arm.of(controller, T_tip_tool_nominal),
+        nominal=Arm.of(nominal, T_tip_tool_nominal),
         actual=actual,
         T_frame_base=T_frame_base,
         target=target,

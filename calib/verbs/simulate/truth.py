@@ -104,8 +104,9 @@ class Truth(Value):
         robot = self.robot
         q = random_joint_values(robot)
         check_written(robot, robot.poses(q), q, self.nominal)
-        # A verdict in the nominal URDF is on another geometry.
-        return robot.urdf.with_verdict("").write(path, overwrite=overwrite)
+        # Run and verdict in the nominal URDF are of another geometry.
+        urdf = robot.urdf.with_comments(run="", verdict="")
+        return urdf.write(path, overwrite=overwrite)
 
     def value(self, name: str) -> float:
         """Return the value of one error, in its unit; raises `ModelError` if the model does not have it."""
