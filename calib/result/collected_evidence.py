@@ -34,7 +34,7 @@ def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
 
     Args:
         result: A cross-validated result, with its measurements and fits in memory.
-        rows: The rows that were fitted; those of sole postures, which no other row can check, count in no error.
+        rows: The rows that were fitted.
 
     Returns:
         The same result, each fitted model with its verdict.
@@ -98,7 +98,7 @@ def _collect_evidence(
         nominal=result.trust.nominal_cross_validation,
         calibrated=model.cross_validation,
         scales=fitted.estimate.problem.scales,
-        used=rows.used & rows.checked[:, None],
+        used=rows.used,
         floor=_noise_floor(result, fitted, doubts),
         repeats=repeats.reshape(-1),
         pairs=rows.partner >= 0,

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.diagnosis.coverage import doubtful_views, partial_coverage, still_joints
+from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
@@ -23,7 +23,6 @@ from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
-from calib.robot.ranges import column_ranges
 
 #: The model lacks something if a larger one lowers the noise to this share.
 _FAR_LESS = 0.6
@@ -45,7 +44,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
     Args:
         result: A result in memory, with its measurements and fits.
-        rows: The rows that were fitted, those of sole postures marked.
+        rows: The rows that were fitted.
 
     Yields:
         Reasons, each a code with the numbers of its sentence in SI units, in the order of the report.
@@ -67,7 +66,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)
-    yield from _sole_postures(result, rows)
+    if has_weights_and_priors(result.method.solver):
+        yield from sole_postures(result.fit.geometry, np.array(m.rows)[m.estimation])
     if _is_named_model(result):
         yield from _missing_model(few)
     yield from partial_coverage(few)
@@ -161,30 +161,6 @@ def noise_doubts(
         elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):
             sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
             yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
-
-
-# What the poses determine
-
-
-def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
-    """Yield one reason, if any posture cannot be checked by other rows: its first row's number, and a joint, for each.
-
-    ``rows`` are those that were fitted. The joint is the one that the posture alone moves: whose value there is
-    farthest from all other rows', as a share of its range.
-    """
-    robot, m = result.nominal, result.fit.measurements
-    numbers = np.array(m.rows)[m.estimation]
-    values = robot.input_values(rows.joints)
-    low, high = column_ranges(robot).T
-    joints: dict[int, str] = {}  # by the row's number in the table
-    for block in np.unique(rows.blocks[~rows.checked]).tolist():
-        of_block = rows.blocks == block
-        first = int(np.flatnonzero(of_block)[0])
-        distances = np.abs(values[~of_block] - values[first])
-        nearest = distances.min(axis=0) / (high - low)
-        joints[int(numbers[first])] = robot.joint_names[int(np.argmax(nearest))]
-    if joints:
-        yield Reason.of(Why.SOLE_POSTURE, rows=list(joints), joints=list(joints.values()))
 
 
 # What the model lacks

@@ -131,8 +131,8 @@ SENTENCES = {
     "more than an uncalibrated arm. Is it the right URDF?",
     Why.JOINTS_STILL: "Joints that hardly moved: {joints}. Their errors are known near these "
     "values only; measure poses that move every joint.",
-    Why.SOLE_POSTURE: "{sole}; no other row can check this, nor is it cross-validated. Measure "
-    "{whose} again, and add poses with {those} at other values.",
+    Why.SOLE_POSTURE: "{sole}, and no other row can check it: measure {whose} again, and add poses "
+    "with {those} at other values.",
     Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise} per coordinate, "
     "'{non_geometric}' would leave {less_noise}: the robot has errors that this model lacks. "
     "Try --model auto.",

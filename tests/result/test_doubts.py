@@ -16,7 +16,6 @@ from calib.result.calibration import Calibration
 from calib.result.doubts import (
     _agreeing_repeats,
     _negative_compliances,
-    _sole_postures,
     noise_doubts,
 )
 from calib.robot.ranges import random_joint_values
@@ -221,21 +220,6 @@ def test_repeats_that_agree_better_with_each_other_than_with_the_model(
     assert (
         list(_agreeing_repeats(with_part(result, "noise", repeats=None), result.fit.geometry)) == []
     )
-
-
-def test_a_sole_posture_is_named_by_its_row_and_the_joint_that_it_alone_moves(make_scene):
-    """Repeats of the posture do not check it; its number is that of the table, whose first rows validate."""
-    scene = arm(make_scene, 62)
-    q = random_joint_values(scene.robot, 40, 3)
-    q[:, 3] = 0.9
-    q[[17, 18]] = q[17]
-    q[[17, 18], 3] = -0.9
-    table = table_of(scene, q, np.random.default_rng(2))
-    table = replace(table, sets=("validate",) * 5 + ("estimate",) * 35)
-    result = calibrate(scene.robot, table, model="dh", validate=False)
-    (reason,) = _sole_postures(result, result.fit.geometry.estimate.problem.rows)
-    assert reason.why == Why.SOLE_POSTURE
-    assert reason.values == {"rows": [18], "joints": ["wrist_1_joint"]}
 
 
 @pytest.mark.parametrize(
