@@ -18,7 +18,7 @@ from calib.fit.registration.rows import Rows
 from calib.numerics.errors import Errors
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibration import Calibration
-from calib.result.doubts import find_doubts, noise_doubts
+from calib.result.doubts import find_doubts, negative_compliances, noise_doubts
 from calib.result.fitted_model import FittedModel
 from calib.robot.ranges import spread_poses
 
@@ -43,7 +43,10 @@ def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
     larger, of_larger = result.non_geometric, result.fit.non_geometric
     usable = None
     if larger is not None and of_larger is not None:
-        evidence = _collect_evidence(result, larger, of_larger, larger.residual, rows, doubts)
+        # A URDF holds no compliance: what is odd about one is no doubt about the geometry.
+        of_bending = tuple(negative_compliances(of_larger))
+        every_doubt = (*doubts, *of_bending)
+        evidence = _collect_evidence(result, larger, of_larger, larger.residual, rows, every_doubt)
         larger = replace(larger, verdict=judge(evidence))
         result = replace(result, non_geometric=larger)
         assert larger.cross_validation is not None

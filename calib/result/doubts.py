@@ -21,6 +21,7 @@ from calib.fit.estimate.special_cases.arm_size import measures_length
 from calib.fit.registration.registration import ENOUGH
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
+from calib.numerics.errors import interval_factor
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
 
@@ -81,7 +82,6 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
     yield from disagreeing_stations(few)
     yield from flagged_station(fitted)
-    yield from _negative_compliances(result)
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
         yield Reason.of(Why.NO_LENGTH)
@@ -192,22 +192,33 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
         yield Reason.of(Why.MODEL_LACKS, model=name, non_geometric=lacking, **noises)
 
 
-def _negative_compliances(result: Calibration) -> Iterator[Reason]:
-    """Yield a reason for each error of the non-geometric model that cannot be negative and is, beyond its interval.
+def negative_compliances(fitted: Fitted) -> Iterator[Reason]:
+    """Find joints that a non-geometric model moves against their load.
 
-    Its joint would move against its load. None without a non-geometric model.
+    The errors of a joint in a family that cannot be negative, such as its compliance or its rotations by masses at
+    several points, add up to what all of its load does: a mass beside these points is a combination of them whose
+    shares add up to one, but may be negative. So their sum has to be positive.
+
+    Args:
+        fitted: The fit of the model.
+
+    Yields:
+        A reason for each joint and family whose sum is negative by more than twice its interval of 95 %: there are as
+        many chances as joints.
     """
-    if result.non_geometric is None:
-        return
-    model = result.non_geometric.model
-    estimates = zip(model.parameters, result.non_geometric.parameters, strict=True)
-    for parameter, estimate in estimates:
+    estimate, model = fitted.estimate, fitted.kinematics.model
+    joints: dict[tuple[str, str], list[int]] = {}
+    for k, parameter in enumerate(model.parameters):
         family = FAMILIES.get(parameter.family)
-        if family is None or not family.positive:
+        if family is not None and family.positive:
+            joints.setdefault((parameter.place, family.name), []).append(k)
+    for (place, name), columns in joints.items():
+        if set(columns) & set(estimate.at_bound):  # the user's
             continue
-        # Twice as far as its interval reaches: there are as many chances as joints.
-        if 2.0 * estimate.high < estimate.value:
-            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=parameter.place, family=family.name)
+        total = float(np.sum(estimate.x[columns]))
+        std = float(np.sqrt(np.sum(estimate.covariance[np.ix_(columns, columns)])))
+        if total + 2.0 * interval_factor(estimate.freedom) * std < 0.0:
+            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=place, family=name)
 
 
 def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:
