@@ -17,8 +17,9 @@ from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
+from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.coverage import outside
-from calib.diagnosis.reasons import NO, Verdict, Why
+from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.selection.candidates import alternative_models, mark_chosen
@@ -97,13 +98,51 @@ def calibrate(
         return replace(result, geometry=replace(result.geometry, verdict=verdict))
     if not validate:
         return _assemble(measured, fits)
-    return _assemble_validated(measured, fits, progress)
+    result = _assemble_validated(measured, fits, progress)
+    drift = _found_drift(result)
+    if drift is None:
+        return result
+    still = _without_drift(measured, drift)
+    fits = fit_table(arm, still, stated, model=model, solver=solver, robust=robust)
+    if fits.mistake:
+        return result
+    return _assemble_validated(still, fits, progress, drift)
+
+
+def _found_drift(result: Calibration) -> Array | None:
+    """Return the drift of the measured positions from the first fitted row to the last, (3,) [m], in their frame.
+
+    None if there is none that predicts held-out rows, and whose vector can be told (`residual_patterns`).
+    """
+    assert result.verdict is not None
+    for reason in result.verdict.reasons:
+        values = reason.values
+        if reason.why is Why.DRIFT and "drift_xyz" in values and values["falls"] >= PREDICTS:
+            return np.array(values["drift_xyz"])
+    return None
+
+
+def _without_drift(measurements: Measurements, drift: Array) -> Measurements:
+    """Take a drift, (3,) [m], out of measured positions: they become what they were at the first fitted row.
+
+    It grows evenly from the first fitted row to the last, in the order of the table, and stays what it was beyond.
+    """
+    fitted_rows = np.flatnonzero(measurements.estimation)
+    share = np.interp(
+        np.arange(len(measurements)), fitted_rows, np.linspace(0.0, 1.0, len(fitted_rows))
+    )
+    return replace(measurements, points=measurements.points - share[:, None] * drift)
 
 
 def _assemble_validated(
-    measurements: Measurements, fits: TableFits, progress: Progress | None
+    measurements: Measurements,
+    fits: TableFits,
+    progress: Progress | None,
+    drift: Array | None = None,
 ) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdicts.
+
+    A drift, (3,) [m], is one that was taken out of the measurements, and is stated; None if there is none.
 
     A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
     the next candidates are tried, and none stays if none does. One that the user named stays.
@@ -150,7 +189,10 @@ def _assemble_validated(
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
-    return add_verdicts(result, fits.fitted_rows)
+    notes: tuple[Reason, ...] = ()
+    if drift is not None:
+        notes = (Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))),)
+    return add_verdicts(result, fits.fitted_rows, notes)
 
 
 def _assemble(

@@ -29,12 +29,13 @@ _FEW_SUSPECTS = 0.15
 _PER_JOINT = 4
 
 
-def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
+def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()) -> Calibration:
     """Return a result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
         result: A cross-validated result, with its measurements and fits in memory.
         rows: The rows that were fitted.
+        notes: Reasons that only inform, to be stated with the others of the geometry.
 
     Returns:
         The same result, each fitted model with its verdict.
@@ -56,7 +57,8 @@ def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
     geometry, fitted = result.geometry, result.fit.geometry
     residual = result.rows.residual_calibrated
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
-    evidence = replace(evidence, notes=tuple(_notes(result)), non_geometric=usable)
+    every_note = (*notes, *_notes(result))
+    evidence = replace(evidence, notes=every_note, non_geometric=usable)
     return replace(result, geometry=replace(geometry, verdict=judge(evidence)))
 
 
