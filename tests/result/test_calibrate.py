@@ -539,7 +539,9 @@ def test_a_drift_of_the_tracker_is_taken_out(make_scene):
     scene = arm(make_scene, 63)
     m = table_of(scene, random_joint_values(scene.robot, 70, 3), np.random.default_rng(3))
     sets = tuple("validate" if k in (0, 20, 68, 69) else "estimate" for k in range(70))
-    share = np.interp(np.arange(70), np.flatnonzero(np.array(sets) == "estimate"), np.linspace(0.0, 1.0, 66))
+    share = np.interp(
+        np.arange(70), np.flatnonzero(np.array(sets) == "estimate"), np.linspace(0.0, 1.0, 66)
+    )
     drift = np.array([4e-4, -3e-4, 2e-4])
     still = replace(m, sets=sets)
     drifting = replace(still, points=m.points + share[:, None] * drift)

@@ -120,7 +120,8 @@ def estimate_at_stage(
     """
     linear, prior, priors = problem.linear(solution.x), stage.prior, stage.priors
     has_priors = prior.source != "off"
-    scores, freedom = stage.scores(linear, solution.x[None])
+    _, covariance_for_scores, freedom = stage.scoring_fit(linear)
+    scores = linear.scores(solution.x[None], covariance_for_scores, stage.effective, stage.noise)
 
     equations = linear.normal_equations(stage.effective, stage.stop_shares)
     _, covariances = equations.posterior(np.sqrt(covariance_factor) * stage.noise, priors)

@@ -210,46 +210,6 @@ class LinearProblem(Value):
         scalars = np.sum(self.used, axis=1)
         return point_scores(norms, scalars)
 
-    def stop_scores(
-        self,
-        x: Array,
-        covariance: Array,
-        weights: Array,
-        stage: tuple[Array, Array],
-        weights_within: Array,
-    ) -> tuple[Array, Array]:
-        """Score stops as a whole, by how far a fit without the stop finds its body displaced; see `Stops`.
-
-        Args:
-            x: shape (B, p), parameters of each of B fits [m, rad, ...].
-            covariance: shape (B, p, p), of x, with what the targets of a stop share.
-            weights: shape (B, N), of the rows in each fit.
-            stage: Noise, shape (B, C), and shares of stops, shape (B, C, 3).
-            weights_within: shape (B, N), of the rows in the score of their stop.
-
-        Returns:
-            shape (B, N), >= 0, score of each row's stop, converted to that of a point; 0 for rows without one. And the
-            number of targets of each row's stop that count, shape (B, N).
-        """
-        result, counts = np.zeros(weights.shape), np.ones(weights.shape)
-        if self.stops is None:
-            return result, counts
-        of_row = self.stops.stop_of_row
-        for b, (noise, shares) in enumerate(zip(*stage, strict=True)):
-            displaced, directions = self.stops.displacements(
-                self.columns, weights_within[b], noise, shares
-            )
-            A = displaced[..., :-1]
-            r = displaced[..., -1] - A @ (x[b] - self.x)
-            stop_weights = self.stops.weights_of_stops(weights[b])
-            norms = deleted_norms(
-                r[None], A, covariance[b, None], stop_weights[None], np.ones((1, *r.shape))
-            )
-            result[b, self.stops.rows] = point_scores(norms, directions)[0, of_row]
-            targets = np.bincount(of_row, weights_within[b, self.stops.rows])
-            counts[b, self.stops.rows] = np.maximum(targets, 1.0)[of_row]
-        return result, counts
-
     def norms(self, x: Array, covariance: Array, weights: Array, factors: Array) -> Array:
         """Compute the norms of the rows' deleted residuals: measured minus predicted by a fit without the row.
 

@@ -162,57 +162,6 @@ class Stage:
             _, covariance, freedom = independent.fit(linear)
         return x, covariance, freedom
 
-    def scores(self, linear: LinearProblem, x: Array) -> tuple[Array, Array]:
-        """Score the rows, each alone and as part of the stop of which it is one target.
-
-        Args:
-            linear: The linearised problem.
-            x: shape (B, p), parameters of each fit [m, rad, ...].
-
-        Returns:
-            The higher of both scores, shape (B, N), in standard deviations; and the degrees of freedom, shape (B,).
-            Targets whose own score is beyond the limit do not count in that of their stop.
-        """
-        _, covariance, freedom = self.scoring_fit(linear)
-        scores = linear.scores(x, covariance, self.effective, self.noise)
-        if linear.stops is None:
-            return scores, freedom
-        count = np.sum(self.kept, axis=1)
-        alone = scores > Limits.of(count[:, None], freedom[:, None]).flagged
-        import os
-
-        V = os.environ.get("L2V", "3")
-        if V == "1":
-            return scores, freedom
-        if V == "2":
-            plain = replace(self, stop_shares=np.zeros(self.stop_shares.shape))
-            of_stops, targets = plain._stop_scores(linear, x, alone)
-            return np.maximum(scores, of_stops / np.sqrt(targets)), freedom
-        of_stops, _ = self._stop_scores(linear, x, alone)
-        if V == "4":
-            _, C, f = self.fit(linear)
-            equations = linear.normal_equations(self.effective, self.stop_shares)
-            spent = np.sum(np.sum(equations.count, axis=1)[:, None] - f[:, None], axis=1)
-            stops = linear.stops
-            W = np.array([stops.weights_of_stops(w).sum() for w in self.effective])
-            fs = 6.0 * W - spent
-            lr = Limits.of(count[:, None], freedom[:, None]).flagged
-            ls = Limits.of(W[:, None], np.maximum(fs, 1.0)[:, None]).flagged
-            of_stops = of_stops * lr / ls
-        return np.maximum(scores, of_stops), freedom
-
-    def _stop_scores(self, linear: LinearProblem, x: Array, alone: Mask) -> tuple[Array, Array]:
-        """Scores of the stops of rows as a whole, (B, N), and the number of their targets; see `LinearProblem`.
-
-        Rows ``alone``, (B, N), do not count, and have the score 0.
-        """
-        _, covariance, _ = self.fit(linear)
-        within = self.repeat_factor * ~alone
-        scores, targets = linear.stop_scores(
-            x, covariance, self.effective, (self.noise, self.stop_shares), within
-        )
-        return np.where(alone, 0.0, scores), targets
-
     def by_median(self, linear: LinearProblem) -> Stage:
         """Return the stage with the noise of medians, which outliers hardly move, and Cauchy's robust weights.
 
@@ -225,12 +174,6 @@ class Stage:
             # Scores in units of the new noise need the covariance that goes with it.
             x, covariance, _ = stage.fit(linear)
             scores = linear.scores(x, covariance, stage.effective, stage.noise)
-            # Errors that the targets of a stop share are not known yet: as if these counted as one.
-            whole, targets = stage._stop_scores(linear, x, np.zeros_like(stage.kept))
-            import os
-
-            if os.environ.get("L2V", "3") != "1":
-                scores = np.maximum(scores, whole / np.sqrt(targets))
             # Cauchy's weights are never quite 0, while the fit may still be wrong for all rows.
             cauchy = 1.0 / (1.0 + (scores / _CAUCHY) ** 2)
             stage = replace(stage, weights=cauchy * stage.kept)
@@ -299,9 +242,9 @@ class Stage:
         score from which on a row is an outlier. If few degrees of freedom are left, or the weights add up to too small
         a part of a fit's rows (`_MOST_OUTLIERS`), every row that the fit has keeps the weight 1.
         """
-        x, _, _ = self.fit(linear)
-        scores, freedom = self.scores(linear, x)
+        x, covariance, freedom = self.scoring_fit(linear)
         count = np.sum(self.kept, axis=1)
+        scores = linear.scores(x, covariance, self.effective, self.noise)
         limits = Limits.of(count[:, None], freedom[:, None])
         weights = limits.weights(scores) * self.kept
         remains_enough = np.sum(weights, axis=1) > (1.0 - _MOST_OUTLIERS) * count
@@ -412,8 +355,6 @@ def run_stages(
     robust = weighting.robust and bool(np.any(freedom > FEWEST_FREEDOM))
     by_likelihood_in_turn = (False, True) if robust else (True,)
     for by_likelihood in by_likelihood_in_turn:
-        if by_likelihood and robust:  # stops are scored by what their targets share
-            stage = stage.by_stops(linear)
         moving = np.arange(len(stage.kept))  # the fits that have not settled
         for _ in range(_ROUNDS):
             before = stage.select(moving)

@@ -16,11 +16,6 @@ any mixed model (C. R. Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
 
-A stop at which the robot was off as a whole, as none of the others was, is thrown out as a whole: its score is the norm
-of its body's displacement, by a fit without the stop, in standard deviations of what V and that fit make expect
-(`Stops.displacements`). In a fit it has the weight W of its target with the most: its displacement then has the
-variance rho / W, so that a stop of little weight moves the fit little, though its targets agree with each other.
-
 The shares are estimated from the residuals of a fit by `calib.fit.estimate.special_cases.stop_shares`. Repeats of a
 target at a stop enter with their mean: what repeats share is found by `calib.fit.estimate.stages`. Each channel has
 shares of its own.
@@ -38,7 +33,6 @@ from numpy.typing import NDArray
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.fit.estimate.special_cases.stop_shares import (
-    BODY,
     PARTS,
     TINY,
     Moments,
@@ -53,9 +47,6 @@ from calib.model.parameter_sets import error_model
 
 #: Rows whose columns are copied at a time.
 _PART = 16_384
-
-#: Directions of a body whose squared singular value is below this share of the largest are rounding.
-_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,55 +221,6 @@ class Stops:
                 result[:, :, stops.rows] += changes.transpose(2, 1, 0)
         return result
 
-    @property
-    def stop_of_row(self) -> Integers:
-        """Index of the stop of each of the n rows, (n,), from 0."""
-        return np.asarray(self._stop_of_cell[self._cell_of_row])
-
-    def weights_of_stops(self, weights: Array) -> Array:
-        """Return the weight of each of S stops in a fit, (S,), from 0 to 1: that of its target with the most.
-
-        Args:
-            weights: shape (N,), of the table's rows; those of the repeats of a target add up.
-        """
-        of_cells = np.add.reduceat(weights[self.rows], self._first_row)
-        return np.minimum(np.maximum.reduceat(of_cells, self._first_cell), 1.0)
-
-    def displacements(
-        self, columns: Array, weights: Array, noise: Array, rho: Array
-    ) -> tuple[Array, Integers]:
-        """Reduce the scalars of each stop to the directions in which its body can be displaced.
-
-        With the means X of its targets, the Jacobian J by translations and rotations, and J' = K^-1/2 J =
-        U diag(s) Q^T, they are U^T K^-1/2 X: independent of each other, and of the variance 1 if X is of noise.
-
-        Args:
-            columns: shape (q, D, N), q columns of the table's scalars, in units of each scalar's given sigma.
-            weights: shape (N,), of the table's rows, >= 0.
-            noise: shape (C,), of each of C channels, in the same units.
-            rho: shape (C, 3), shares of each channel.
-
-        Returns:
-            shape (S, 6 C, q), 0 in directions that no scalar of a stop has; and the number of its others, shape (S,).
-        """
-        parts = []
-        for stops in self._parts():
-            X = stops._rows_of(columns)
-            body = stops.J[:, :, BODY]
-            of_channels = []
-            for c in range(len(noise)):
-                both = np.concatenate([body, X / noise[c]], axis=2)
-                _, independent, _ = stops._independent_means(both, weights, c, rho[c])
-                J = independent[..., BODY]
-                sums = stops._sums(transposed(J) @ independent)  # (S, 6, 6 + q)
-                squares, Q = np.linalg.eigh(sums[..., BODY])
-                present = squares > _RANK_TOLERANCE * squares[:, -1:]
-                scale = present / np.sqrt(np.where(present, squares, 1.0))
-                of_channels.append(scale[:, :, None] * (transposed(Q) @ sums[..., BODY.stop :]))
-            parts.append(np.concatenate(of_channels, axis=1))
-        result = np.concatenate(parts)
-        return result, np.sum(np.any(result != 0.0, axis=2), axis=1)
-
     def estimate_shares(
         self, columns: Array, change: Array, covariance: Array, weights: Array, rho: Array
     ) -> Array:
@@ -334,8 +276,6 @@ class Stops:
         are of the table's rows, (N,), and rho, (3,), are the shares of the channel's variance; see `_means`.
         """
         means, J, count = self._means(X, weights, c)
-        weight = self.weights_of_stops(weights)
-        J = J / np.sqrt(np.maximum(weight, TINY))[self._stop_of_cell, None, None]
         kappa = unshared(rho)
         G = J * root_shares(rho, J.shape[2]) / np.sqrt(kappa)
         squares, Q = np.linalg.eigh(self._sums(transposed(G) @ G))
@@ -343,7 +283,7 @@ class Stops:
         of_stops = self._sums(transposed(G) @ means)  # over the cells of each, (S, d, q)
         shared = (Q / (s + s**2)) @ (transposed(Q) @ of_stops)
         independent = (means - G @ shared[self._stop_of_cell]) / np.sqrt(kappa)
-        log_det = np.sum(count) * np.log(kappa) + 2.0 * np.sum(weight[:, None, None] * np.log(s))
+        log_det = np.sum(count) * np.log(kappa) + 2.0 * np.sum(np.log(s))
         return means, independent, float(log_det)
 
     def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
