@@ -25,6 +25,7 @@ from calib.model.error_model import FRAME, TARGET, ErrorModel
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, interval_factor, rms
+from calib.numerics.moves import last_moves
 from calib.numerics.rigid_motion import best_motion, displacements_by
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import spread_poses
@@ -156,7 +157,7 @@ class FittedModel(Value):
         return replace(
             model,
             expected_measured=model._expected_error(rows.samples),
-            expected_everywhere=model._expected_error(Samples.at(q, loads)),
+            expected_everywhere=model._expected_error(Samples.at(q, loads, last_moves(q))),
         )
 
     @property
