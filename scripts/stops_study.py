@@ -7,12 +7,15 @@ UR5s of `dh` errors carry four markers on the hand, measured by cameras that sta
 by a multiple of the cameras' noise. Printed is the true error at other poses of a fit to the markers over that of a fit
 to poses of the hand, the standard deviation that the first states over its error, and the shares of the variance that
 the markers of a stop have in common, by a translation and a rotation of the hand and by errors of the joints.
+
+The second table is of hands of which one stop is off as a whole: the error over that of a fit without the stop, how
+often all of its markers are thrown out, and how many markers of other stops are flagged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from arms import load_arm
@@ -35,6 +38,9 @@ NOISE = 5e-5
 
 #: Distances by which a stop is missed, rms, over the noise of a point.
 MISSED = (0.0, 1.0, 3.0, 10.0)
+
+#: Distance by which one stop is off as a whole, over the rms distance by which the others are missed.
+OFF = 2.5
 
 #: Positions of the markers on the hand [m].
 MARKERS = np.array([[0.08, 0.0, 0.05], [-0.07, 0.03, 0.08], [0.0, -0.09, 0.06], [0.02, 0.06, 0.14]])
@@ -194,6 +200,37 @@ def compare_fits(robot: Robot, stops: int, missed: float, seed: int) -> Figures:
 
 
 @dataclass(frozen=True)
+class OffFigures:
+    """Figures of one robot of which one stop is off as a whole."""
+
+    error: float  # Of the fit to the markers of all stops, rms [m]
+    without: float  # Of the fit to those of the others, rms [m]
+    thrown: bool  # All markers of the stop are flagged
+    others: int  # Flagged markers of other stops
+
+
+def fit_off_stop(robot: Robot, stops: int, missed: float, seed: int) -> OffFigures:
+    """Draw a hand, displace its first stop as a whole, and fit with it and without; arguments as for `Hand.draw`."""
+    hand = Hand.draw(robot, stops, missed, seed)
+    direction = np.random.default_rng([9, seed]).normal(size=3)
+    points = hand.points.copy()
+    points[0] += OFF * missed * NOISE * np.sqrt(3.0) * direction / np.linalg.norm(direction)
+    cell = Cell(estimate_frame=True)
+    errors, flagged = [], []
+    for first in (0, 1):
+        some = replace(hand, q=hand.q[first:], points=points[first:])
+        fitted = fit_table(robot, some.point_table(), cell, model="dh").geometry
+        errors.append(rms(np.linalg.norm(point_fit_errors(some, fitted), axis=2)))
+        flagged.append(fitted.estimate.outliers.reshape(-1, len(MARKERS)))
+    return OffFigures(
+        error=errors[0],
+        without=errors[1],
+        thrown=bool(np.all(flagged[0][0])),
+        others=int(np.sum(flagged[0][1:])),
+    )
+
+
+@dataclass(frozen=True)
 class Case:
     """Stops of a UR5."""
 
@@ -204,6 +241,23 @@ class Case:
 def run_once(case: Case, seed: int) -> Figures:
     """Return the figures of one UR5."""
     return compare_fits(load_arm("ur5"), case.stops, case.missed, seed)
+
+
+def run_off(case: Case, seed: int) -> OffFigures:
+    """Return the figures of one UR5 of which one stop is off."""
+    return fit_off_stop(load_arm("ur5"), case.stops, case.missed, seed)
+
+
+def off_row(case: Case, runs: Sequence[OffFigures]) -> list[str]:
+    """Return the row of a case with a stop that is off."""
+    ratios = np.array([run.error / run.without for run in runs])
+    return [
+        str(case.missed),
+        f"{np.median(ratios):.3f}",
+        f"{np.max(ratios):.3f}",
+        f"{np.mean([run.thrown for run in runs]):.0%}",
+        f"{np.mean([run.others for run in runs]):.2f}",
+    ]
 
 
 def case_row(case: Case, runs: Sequence[Figures]) -> list[str]:
@@ -233,6 +287,13 @@ def main() -> None:
     results = run_cases(run_once, cases, seeds, workers=arguments.workers, label="robots")
     titles = ["missed by", "points over poses, rms", "mean", "stated over error", "shares"]
     print_table(titles, (case_row(case, runs) for case, runs in results), [9])
+
+    print()
+    off_cases = [case for case in cases if case.missed > 0.0]
+    off = run_cases(run_off, off_cases, seeds, workers=arguments.workers, label="robots")
+    titles = ["missed by", "error over that without the stop, median", "highest", "thrown out"]
+    titles += ["markers flagged beside it"]
+    print_table(titles, (off_row(case, runs) for case, runs in off), [9])
 
 
 if __name__ == "__main__":

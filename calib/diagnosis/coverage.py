@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.stages import Stage
 from calib.fit.registration.rows import Rows
 from calib.numerics.likelihood import GaussianPriors
 from calib.robot.ranges import column_ranges, spread_poses
@@ -46,6 +48,20 @@ _SHARE = 0.2
 #: If turns of the hand spread by less about all axes but one, the camera's place along that one is undetermined [rad].
 _ONE_AXIS = np.radians(10.0)
 
+
+#: A pose alone determines a direction if the others predict it with so many standard deviations of the noise: its
+#: leverage is above 0.99.
+_UNPREDICTED = 10.0
+
+#: And of so many times that of the typical pose: if rows are few, the others predict none of them well.
+_ABOVE_TYPICAL = 10.0
+
+#: A frame or target of which rows of other poses measure fewer scalars is not determined without the pose, whatever its
+#: joints do: three times the unknowns of a pose.
+_FEWEST_SCALARS = 18
+
+#: A leverage is below 1 but for rounding.
+_HIGHEST_LEVERAGE = 1.0 - 1e-9
 
 #: The share of the rows at each end of a joint's measured values that are predicted by the others.
 _OUTER = 0.2
@@ -225,6 +241,67 @@ def hardly_moved(robot: Robot, rows: Rows) -> Mask:
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     least = np.where(slides, _HARDLY_MOVED_M, _HARDLY_MOVED_RAD)
     return np.asarray(np.ptp(robot.input_values(rows.joints), axis=0) < least)
+
+
+def sole_postures(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
+    """Name poses that alone determine a direction of the parameters: a joint moves only there, say.
+
+    With the derivative A of what is predicted at the pose, in units of the noise, and the covariance C of the
+    parameters by all rows and the priors as given, the pose's leverage k is the largest eigenvalue of A C A^T, and the
+    others predict it with sqrt(k / (1 - k)) standard deviations of the noise (D. A. Belsley, E. Kuh, R. E. Welsch:
+    Regression Diagnostics, 1980). Nothing in the estimate changes.
+
+    Args:
+        fitted: A fit to N rows.
+        numbers: The rows' numbers in the table, shape (N,).
+
+    Yields:
+        At most one reason: of each such pose the number of its first row, and the joint whose value there is farthest
+        from that of all other rows, as a share of its range.
+    """
+    problem, rows = fitted.estimate.problem, fitted.estimate.problem.rows
+    linear = problem.linear(fitted.estimate.x)
+    prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
+    every_row = np.ones((1, len(rows)), dtype=bool)
+    first = Stage.initial(prior, every_row, len(problem.noise))
+    _, covariances, _ = replace(first, noise=problem.noise[None]).fit(linear)
+    A = linear.A / linear.noise_by_scalar(problem.noise[None])[0][:, :, None]
+
+    # The trace bounds the largest eigenvalue: only poses whose bound is high are looked at.
+    block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
+    traces = np.einsum("ndp,ndp->n", A @ covariances[0], A)
+    leverage = np.bincount(block, traces)
+    for b in np.flatnonzero(leverage > 0.5).tolist():
+        of_pose = A[block == b][rows.used[block == b]]
+        leverage[b] = np.linalg.eigvalsh(of_pose @ covariances[0] @ of_pose.T)[-1]
+    leverage = np.clip(leverage, 0.0, _HIGHEST_LEVERAGE)
+    unpredicted = np.sqrt(leverage / (1.0 - leverage))
+    limit = max(_UNPREDICTED, _ABOVE_TYPICAL * float(np.median(unpredicted)))
+    sole = (unpredicted > limit)[block] & _seen_by_others(rows, block)
+
+    robot = fitted.task.robot
+    values = robot.input_values(rows.joints)
+    low, high = column_ranges(robot).T
+    joints: dict[int, str] = {}  # by the row's number in the table
+    for b in np.unique(block[sole]).tolist():
+        of_pose = block == b
+        here = int(np.flatnonzero(of_pose)[0])
+        nearest = np.min(np.abs(values[~of_pose] - values[here]), axis=0) / (high - low)
+        joints[int(numbers[here])] = robot.joint_names[int(np.argmax(nearest))]
+    if joints:
+        yield Reason.of(Why.SOLE_POSTURE, rows=list(joints), joints=list(joints.values()))
+
+
+def _seen_by_others(rows: Rows, block: Integers) -> Mask:
+    """Rows, (N,), whose frame and target are determined by rows of other poses, numbered by ``block``, (N,)."""
+    scalars = np.sum(rows.used, axis=1)
+    result = np.ones(len(rows), dtype=bool)
+    for places in (rows.samples.frame, rows.samples.target):
+        pair = np.unique(np.column_stack([places, block]), axis=0, return_inverse=True)[1]
+        pair = pair.reshape(-1)
+        others = np.bincount(places, scalars)[places] - np.bincount(pair, scalars)[pair]
+        result &= others >= _FEWEST_SCALARS
+    return result
 
 
 def partial_coverage(fitted: Fitted) -> Iterator[Reason]:

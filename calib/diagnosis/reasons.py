@@ -175,6 +175,7 @@ class Why(str, Enum):
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
     SCALE_HIDDEN = "scale_hidden", Role.INFORMATION
+    DRIFT_REMOVED = "drift_removed", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
 
     # Explanations of the errors of newly measured rows

@@ -1,18 +1,20 @@
 """Patterns in the residuals of a fit, each with its cause: rounded or lagging joints, a moved target, a drift.
 
 The tests are those of `calib.diagnosis.patterns`; here are the regressors. A drift or a step is reported with the share
-by which it lowers the error of held-out blocks of consecutive rows: what predicts nothing explains nothing.
+by which it lowers the error of held-out blocks of consecutive rows: what predicts nothing explains nothing. A drift of
+positions in one frame is reported with its vector, from the first row to the last, so that it can be taken out of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
-from calib.diagnosis.augmented_fit import PREDICTS, gain_on_blocks
+from calib.diagnosis.augmented_fit import PREDICTS, estimate_jointly, gain_on_blocks
 from calib.diagnosis.patterns import (
     Explained,
     Stack,
@@ -240,7 +242,13 @@ def residual_patterns(fitted: Fitted, numbers: Integers, moves: Array) -> Iterat
         columns = residuals.order[:, None, None] * np.eye(problem.rows.width)
         columns = columns * problem.rows.used[:, :, None]
         falls = gain_on_blocks(fitted, columns, residuals.weights)
-        yield Reason.of(Why.DRIFT, **drifting.values, falls=falls)
+        values: dict[str, Any] = {**drifting.values, "falls": falls}
+        # Positions in one frame drift by three lengths, which can be taken out of them.
+        rows = problem.rows
+        if len(fitted.setup.groups) == 1 and np.all(rows.where(lambda kind: kind.position)):
+            by = estimate_jointly(fitted, columns[:, :, :3]).b
+            values |= {"drift_xyz": by.tolist(), "drift_m": float(np.linalg.norm(by))}
+        yield Reason.of(Why.DRIFT, **values)
 
 
 def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:

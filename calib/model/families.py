@@ -248,7 +248,7 @@ class Family(Value):
     every_joint: bool = False
     #: Lowest and highest plausible prior standard deviation, in ``unit``.
     bounds: tuple[float, float] = (1e-7, 0.1)
-    #: True if its parameters cannot be negative, as a compliance cannot.
+    #: True if the sum of its parameters at a joint cannot be negative, as a compliance cannot.
     positive: bool = False
     #: A sliding joint's typical error over that of a turning one.
     lever: float = 1.0

@@ -17,6 +17,7 @@ from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
+from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
@@ -98,7 +99,40 @@ def calibrate(
         result = _assemble(measured, fits)
         absurd = absurd_noise(result.noise.sigma)
         return _with_verdict_against(result, absurd[0]) if absurd else result
-    return _assemble_validated(measured, fits, progress)
+    result = _assemble_validated(measured, fits, progress)
+    drift = _found_drift(result)
+    if drift is None:
+        return result
+    still = _without_drift(measured, drift)
+    fits = fit_table(arm, still, stated, model=model, solver=solver, robust=robust)
+    if fits.mistake:
+        return result
+    return _assemble_validated(still, fits, progress, drift)
+
+
+def _found_drift(result: Calibration) -> Array | None:
+    """Return the drift of the measured positions from the first fitted row to the last, (3,) [m], in their frame.
+
+    None if there is none that predicts held-out rows, and whose vector can be told (`residual_patterns`).
+    """
+    assert result.verdict is not None
+    for reason in result.verdict.reasons:
+        values = reason.values
+        if reason.why is Why.DRIFT and "drift_xyz" in values and values["falls"] >= PREDICTS:
+            return np.array(values["drift_xyz"])
+    return None
+
+
+def _without_drift(measurements: Measurements, drift: Array) -> Measurements:
+    """Take a drift, (3,) [m], out of measured positions: they become what they were at the first fitted row.
+
+    It grows evenly from the first fitted row to the last, in the order of the table, and stays what it was beyond.
+    """
+    fitted_rows = np.flatnonzero(measurements.estimation)
+    share = np.interp(
+        np.arange(len(measurements)), fitted_rows, np.linspace(0.0, 1.0, len(fitted_rows))
+    )
+    return replace(measurements, points=measurements.points - share[:, None] * drift)
 
 
 def _with_verdict_against(result: Calibration, why: Reason) -> Calibration:
@@ -108,9 +142,14 @@ def _with_verdict_against(result: Calibration, why: Reason) -> Calibration:
 
 
 def _assemble_validated(
-    measurements: Measurements, fits: TableFits, progress: Progress | None
+    measurements: Measurements,
+    fits: TableFits,
+    progress: Progress | None,
+    drift: Array | None = None,
 ) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdicts.
+
+    A drift, (3,) [m], is one that was taken out of the measurements, and is stated; None if there is none.
 
     A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
     the next candidates are tried, and none stays if none does. One that the user named stays.
@@ -157,7 +196,10 @@ def _assemble_validated(
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
-    return add_verdicts(result, fits.fitted_rows)
+    notes: tuple[Reason, ...] = ()
+    if drift is not None:
+        notes = (Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))),)
+    return add_verdicts(result, fits.fitted_rows, notes)
 
 
 def _assemble(

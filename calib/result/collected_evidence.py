@@ -18,7 +18,7 @@ from calib.fit.registration.rows import Rows
 from calib.numerics.errors import Errors
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibration import Calibration
-from calib.result.doubts import find_doubts, noise_doubts
+from calib.result.doubts import find_doubts, negative_compliances, noise_doubts
 from calib.result.fitted_model import FittedModel
 from calib.robot.ranges import spread_poses
 
@@ -29,12 +29,13 @@ _FEW_SUSPECTS = 0.15
 _PER_JOINT = 4
 
 
-def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
+def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()) -> Calibration:
     """Return a result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
         result: A cross-validated result, with its measurements and fits in memory.
-        rows: The rows that were fitted; those of sole postures, which no other row can check, count in no error.
+        rows: The rows that were fitted.
+        notes: Reasons that only inform, to be stated with the others of the geometry.
 
     Returns:
         The same result, each fitted model with its verdict.
@@ -43,7 +44,10 @@ def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
     larger, of_larger = result.non_geometric, result.fit.non_geometric
     usable = None
     if larger is not None and of_larger is not None:
-        evidence = _collect_evidence(result, larger, of_larger, larger.residual, rows, doubts)
+        # A URDF holds no compliance: what is odd about one is no doubt about the geometry.
+        of_bending = tuple(negative_compliances(of_larger))
+        every_doubt = (*doubts, *of_bending)
+        evidence = _collect_evidence(result, larger, of_larger, larger.residual, rows, every_doubt)
         larger = replace(larger, verdict=judge(evidence))
         result = replace(result, non_geometric=larger)
         assert larger.cross_validation is not None
@@ -53,7 +57,8 @@ def add_verdicts(result: Calibration, rows: Rows) -> Calibration:
     geometry, fitted = result.geometry, result.fit.geometry
     residual = result.rows.residual_calibrated
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
-    evidence = replace(evidence, notes=tuple(_notes(result)), non_geometric=usable)
+    every_note = (*notes, *_notes(result))
+    evidence = replace(evidence, notes=every_note, non_geometric=usable)
     return replace(result, geometry=replace(geometry, verdict=judge(evidence)))
 
 
@@ -98,7 +103,7 @@ def _collect_evidence(
         nominal=result.trust.nominal_cross_validation,
         calibrated=model.cross_validation,
         scales=fitted.estimate.problem.scales,
-        used=rows.used & rows.checked[:, None],
+        used=rows.used,
         floor=_noise_floor(result, fitted, doubts),
         repeats=repeats.reshape(-1),
         pairs=rows.partner >= 0,

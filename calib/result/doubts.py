@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.diagnosis.coverage import doubtful_views, partial_coverage, still_joints
+from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
@@ -21,9 +21,9 @@ from calib.fit.estimate.special_cases.arm_size import measures_length
 from calib.fit.registration.registration import ENOUGH
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
+from calib.numerics.errors import interval_factor
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
-from calib.robot.ranges import column_ranges
 
 #: The model lacks something if a larger one lowers the noise to this share.
 _FAR_LESS = 0.6
@@ -45,7 +45,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
     Args:
         result: A result in memory, with its measurements and fits.
-        rows: The rows that were fitted, those of sole postures marked.
+        rows: The rows that were fitted.
 
     Yields:
         Reasons, each a code with the numbers of its sentence in SI units, in the order of the report.
@@ -67,7 +67,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)
-    yield from _sole_postures(result, rows)
+    if has_weights_and_priors(result.method.solver):
+        yield from sole_postures(result.fit.geometry, np.array(m.rows)[m.estimation])
     if _is_named_model(result):
         yield from _missing_model(few)
     yield from partial_coverage(few)
@@ -79,7 +80,6 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
     yield from disagreeing_stations(few)
     yield from flagged_station(fitted)
-    yield from _negative_compliances(result)
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
         yield Reason.of(Why.NO_LENGTH)
@@ -161,30 +161,6 @@ def noise_doubts(
             yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
 
 
-# What the poses determine
-
-
-def _sole_postures(result: Calibration, rows: Rows) -> Iterator[Reason]:
-    """Yield one reason, if any posture cannot be checked by other rows: its first row's number, and a joint, for each.
-
-    ``rows`` are those that were fitted. The joint is the one that the posture alone moves: whose value there is
-    farthest from all other rows', as a share of its range.
-    """
-    robot, m = result.nominal, result.fit.measurements
-    numbers = np.array(m.rows)[m.estimation]
-    values = robot.input_values(rows.joints)
-    low, high = column_ranges(robot).T
-    joints: dict[int, str] = {}  # by the row's number in the table
-    for block in np.unique(rows.blocks[~rows.checked]).tolist():
-        of_block = rows.blocks == block
-        first = int(np.flatnonzero(of_block)[0])
-        distances = np.abs(values[~of_block] - values[first])
-        nearest = distances.min(axis=0) / (high - low)
-        joints[int(numbers[first])] = robot.joint_names[int(np.argmax(nearest))]
-    if joints:
-        yield Reason.of(Why.SOLE_POSTURE, rows=list(joints), joints=list(joints.values()))
-
-
 # What the model lacks
 
 
@@ -214,22 +190,33 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
         yield Reason.of(Why.MODEL_LACKS, model=name, non_geometric=lacking, **noises)
 
 
-def _negative_compliances(result: Calibration) -> Iterator[Reason]:
-    """Yield a reason for each error of the non-geometric model that cannot be negative and is, beyond its interval.
+def negative_compliances(fitted: Fitted) -> Iterator[Reason]:
+    """Find joints that a non-geometric model moves against their load.
 
-    Its joint would move against its load. None without a non-geometric model.
+    The errors of a joint in a family that cannot be negative, such as its compliance or its rotations by masses at
+    several points, add up to what all of its load does: a mass beside these points is a combination of them whose
+    shares add up to one, but may be negative. So their sum has to be positive.
+
+    Args:
+        fitted: The fit of the model.
+
+    Yields:
+        A reason for each joint and family whose sum is negative by more than twice its interval of 95 %: there are as
+        many chances as joints.
     """
-    if result.non_geometric is None:
-        return
-    model = result.non_geometric.model
-    estimates = zip(model.parameters, result.non_geometric.parameters, strict=True)
-    for parameter, estimate in estimates:
+    estimate, model = fitted.estimate, fitted.kinematics.model
+    joints: dict[tuple[str, str], list[int]] = {}
+    for k, parameter in enumerate(model.parameters):
         family = FAMILIES.get(parameter.family)
-        if family is None or not family.positive:
+        if family is not None and family.positive:
+            joints.setdefault((parameter.place, family.name), []).append(k)
+    for (place, name), columns in joints.items():
+        if set(columns) & set(estimate.at_bound):  # the user's
             continue
-        # Twice as far as its interval reaches: there are as many chances as joints.
-        if 2.0 * estimate.high < estimate.value:
-            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=parameter.place, family=family.name)
+        total = float(np.sum(estimate.x[columns]))
+        std = float(np.sqrt(np.sum(estimate.covariance[np.ix_(columns, columns)])))
+        if total + 2.0 * interval_factor(estimate.freedom) * std < 0.0:
+            yield Reason.of(Why.COMPLIANCE_NEGATIVE, joint=place, family=name)
 
 
 def _agreeing_repeats(result: Calibration, fitted: Fitted) -> Iterator[Reason]:

@@ -129,7 +129,7 @@ def joint_zeros(fits: TableFits, validation: Mask, *, cross_validated: bool) -> 
         name, rows = HELD_OUT, estimate.problem.rows
         outliers = fits.geometry.estimate.outliers
         residual = linear_cross_validation(fitted, outliers).residual
-        chosen = rows.checked & ~outliers
+        chosen = ~outliers
     else:
         name, rows, chosen = ESTIMATION, fits.all_rows, ~validation
         if np.any(validation):

@@ -56,7 +56,7 @@ class TableFits:
     candidates: tuple[Candidate, ...]
     #: All N rows of the table
     all_rows: Rows
-    #: Those that were fitted, those of sole postures marked
+    #: Those that were fitted
     fitted_rows: Rows
     #: The measurement setup; unknown are the frames and targets that only validation rows see
     unseen: Setup
@@ -130,7 +130,7 @@ def fit_table(
         non_geometric=non_geometric,
         candidates=candidates,
         all_rows=all_rows,
-        fitted_rows=replace(rows, sole=geometry.estimate.problem.rows.sole),
+        fitted_rows=rows,
         unseen=unseen,
         mistake=mistake,
         seconds=time.perf_counter() - began,
@@ -156,7 +156,6 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
         reference = fit(task, rows)
     if name == reference.kinematics.model.name:
         return reference, None, candidates
-    rows = replace(rows, sole=reference.estimate.problem.rows.sole)
     geometry = fit(replace(task, model=name, allow_absent=True), rows, registered=reference.setup)
     return with_better_weights(geometry, rows, reference), reference, candidates
 

@@ -151,8 +151,8 @@ SENTENCES = {
     "more than an uncalibrated arm. Is it the right URDF?",
     Why.JOINTS_STILL: "Joints that hardly moved: {joints}. Their errors are known near these "
     "values only; measure poses that move every joint.",
-    Why.SOLE_POSTURE: "{sole}; no other row can check this, nor is it cross-validated. Measure "
-    "{whose} again, and add poses with {those} at other values.",
+    Why.SOLE_POSTURE: "{sole}, and no other row can check it: measure {whose} again, and add poses "
+    "with {those} at other values.",
     Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise} per coordinate, "
     "'{non_geometric}' would leave {less_noise}: the robot has errors that this model lacks. "
     "Try --model auto.",
@@ -162,6 +162,9 @@ SENTENCES = {
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
     Why.DRIFT: f"{_NOT_NOISE}they drift in the order of the rows, which {_SHARE}. {_FALLS} Did "
     "something warm up, or move?",
+    Why.DRIFT_REMOVED: "The measured positions drifted by {drift} from the first row to the last; this "
+    "was estimated, and taken out of them before the fit. Did the instrument warm up, or its foot "
+    "move?",
     Why.SETUP_UNPREDICTED: "The other stations do not predict station '{setup}': a fit without it "
     "leaves errors there {ratio:.1f} times those expected. " + _CHANGED,
     Why.SETUP_FLAGGED: "{flagged} of the {rows} rows of station '{setup}' are flagged as "
@@ -382,6 +385,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "before_off": absurd_size(values, "before"),
         "after_off": absurd_size(values, "after"),
         "noise_off": absurd_size(values, "noise"),
+        "drift": "".join(sizes_of(values, "drift")[:1]),
         "noise": "".join(sizes_of(values, "noise")[:1]),
         "noise_rough": "".join(sizes_of(values, "noise", ".1f")[:1]),
         "less_noise": "".join(sizes_of(values, "less")[:1]),

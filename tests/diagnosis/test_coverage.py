@@ -17,6 +17,7 @@ from calib.diagnosis.coverage import (
     extrapolation,
     hardly_moved,
     outside,
+    sole_postures,
     spread_of,
     spread_of_axes,
 )
@@ -25,7 +26,9 @@ from calib.example import paper_measurements
 from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.verbs.simulate.truth import draw_truth
 from tests.hard_cases import made
 from tests.images import BOARD, HOME, arm, cell, mounts, poses, table
 
@@ -197,3 +200,72 @@ def test_what_a_model_lacks_does_not_average_out(make_scene):
     table = scene.points(400)
     few, many = (extrapolated(scene, table.select(np.arange(400) < n)) for n in (40, 400))
     assert many > max(2.0 * few, 5.0)
+
+
+# Poses that alone determine a direction
+
+ROWS, ROW, WRIST = 36, 20, 4
+
+
+def one_moves(robot: Robot, seed: int = 5) -> np.ndarray:
+    """Poses of which one alone moves a wrist joint."""
+    q = random_joint_values(robot, ROWS, seed)
+    q[:, WRIST] = 0.3
+    q[ROW, WRIST] = 1.5
+    return q
+
+
+def points_at(robot: Robot, q: np.ndarray, off: float = 0.0) -> Measurements:
+    points = draw_truth(robot, "dh", seed=3).points(q)
+    points = points + 5e-5 * np.random.default_rng(0).normal(size=points.shape)
+    points[ROW] += off
+    return Measurements(robot.joint_names, q, points)
+
+
+def named(table: Measurements, robot: Robot, given: Cell | None = None) -> list[dict[str, Any]]:
+    """Values of the reasons, of rows that are numbered from 101."""
+    given = Cell() if given is None else given
+    rows, setup = rows_and_setup(robot, table, given)
+    found = fit(Task(robot, given, setup, "dh"), rows)
+    reasons = list(sole_postures(found, np.arange(101, 101 + len(rows))))
+    assert all(reason.why is Why.SOLE_POSTURE for reason in reasons)
+    return [dict(reason.values) for reason in reasons]
+
+
+@pytest.mark.parametrize("off", [0.0, 10e-3])
+def test_the_pose_that_alone_moves_a_joint_is_named(ur3, off: float):
+    """Right or wrong, which no other row can tell."""
+    expected = [{"rows": [101 + ROW], "joints": [ur3.joint_names[WRIST]]}]
+    assert named(points_at(ur3, one_moves(ur3), off), ur3) == expected
+
+
+def test_it_keeps_its_weight_if_it_is_right(ur3):
+    table = points_at(ur3, one_moves(ur3))
+    rows, setup = rows_and_setup(ur3, table, Cell())
+    assert fit(Task(ur3, Cell(), setup, "dh"), rows).estimate.weights[ROW] == 1.0
+
+
+def test_two_poses_that_move_it_leave_a_direction_to_each_and_four_do_not(ur3):
+    q = one_moves(ur3)
+    q[3, WRIST] = -1.0
+    assert [values["rows"] for values in named(points_at(ur3, q), ur3)] == [[104, 101 + ROW]]
+    q[8, WRIST], q[30, WRIST] = 0.8, -0.6
+    assert named(points_at(ur3, q), ur3) == []
+
+
+def test_repeats_of_a_pose_are_one_pose(ur3):
+    q = one_moves(ur3)
+    q[3] = q[ROW]
+    assert [values["rows"] for values in named(points_at(ur3, q), ur3)] == [[104]]
+
+
+@pytest.mark.parametrize("count", [ROWS, 24, 12, 8])
+def test_no_pose_is_named_among_random_ones(ur3, count: int):
+    table = points_at(ur3, random_joint_values(ur3, ROWS, 9))
+    assert named(table.select(np.arange(ROWS) >= ROWS - count), ur3) == []
+
+
+def test_a_frame_that_one_pose_sees_concerns_no_joint(make_scene, join):
+    scene = make_scene(3, frames=2, noise=5e-5)
+    seen = join(scene.points(30, 0), scene.points(3, 1))
+    assert named(seen, scene.robot, Cell(estimate_frame=True)) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,11 +21,21 @@ from calib.robot.ranges import random_joint_values
 from tests.judged import arm, judged, reasons, table_of
 
 
+def drift_in(make_scene, way: np.ndarray) -> dict[str, Any]:
+    """Values of the drift in the residuals of a fit to points that are displaced by ``way``, (90, 3)."""
+    scene, rng = arm(make_scene, 63), np.random.default_rng(3)
+    m = table_of(scene, random_joint_values(scene.robot, 90, 3), rng, way)
+    result = calibrate(scene.robot, m, model="dh", validate=False)
+    found = residual_patterns(result.fit.geometry, np.arange(90), np.zeros((90, 6)))
+    return next(dict(reason.values) for reason in found if reason.why is Why.DRIFT)
+
+
 def test_a_tracker_that_drifts(make_scene):
     way = np.linspace(0.0, 1.0, 90)[:, None] * np.array([4e-4, -3e-4, 2e-4])
-    result = judged(make_scene, 63, rows=90, bias=way)
-    assert result.verdict.use == "use with care"
-    assert reasons(result)[Why.DRIFT]["p"] < 0.003
+    found = drift_in(make_scene, way)
+    assert found["p"] < 0.003
+    np.testing.assert_allclose(found["drift_xyz"], [4e-4, -3e-4, 2e-4], atol=4e-5)
+    assert found["drift_m"] == pytest.approx(np.linalg.norm(found["drift_xyz"]))
 
 
 def test_joints_that_had_not_arrived(make_scene):
@@ -46,8 +57,7 @@ def test_joints_that_had_not_arrived(make_scene):
 def test_a_drift_matters_where_it_predicts_rows(make_scene):
     """The value that says so is that of blocks of consecutive rows."""
     way = np.linspace(0.0, 1.0, 90)[:, None] * np.array([4e-4, -3e-4, 2e-4])
-    drifting = judged(make_scene, 63, rows=90, bias=way)
-    assert reasons(drifting)[Why.DRIFT]["falls"] > 0.3
+    assert drift_in(make_scene, way)["falls"] > 0.3
     knocked = np.where(np.arange(90)[:, None] < 89, 0.0, [0.0, 0.0, 4e-4])
     assert Why.DRIFT not in reasons(judged(make_scene, 63, rows=90, bias=knocked))
 

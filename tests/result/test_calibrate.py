@@ -28,6 +28,7 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.evaluate.evaluation import evaluate
 from tests.fits import FREE, SOCKETS, TARGETS, TRACKERS, gaps, in_each, two_targets
+from tests.judged import arm, reasons, table_of
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
 TABLE_3 = np.array(
@@ -547,3 +548,38 @@ def test_a_larger_model_that_was_named_stays(refused):
     held_out = result.non_geometric.cross_validation.errors_without_outliers
     assert held_out["m"].rms > result.cross_validation.errors_without_outliers["m"].rms
     assert Why.LARGER_NO_CLOSER in {reason.why for reason in result.verdict.reasons}
+
+
+def test_a_drift_of_the_tracker_is_taken_out(make_scene):
+    """The result is that of the positions as at the first fitted row; validation rows after the last have all of it."""
+    scene = arm(make_scene, 63)
+    m = table_of(scene, random_joint_values(scene.robot, 70, 3), np.random.default_rng(3))
+    sets = tuple("validate" if k in (0, 20, 68, 69) else "estimate" for k in range(70))
+    share = np.interp(
+        np.arange(70), np.flatnonzero(np.array(sets) == "estimate"), np.linspace(0.0, 1.0, 66)
+    )
+    drift = np.array([4e-4, -3e-4, 2e-4])
+    still = replace(m, sets=sets)
+    drifting = replace(still, points=m.points + share[:, None] * drift)
+    one, other = (calibrate(scene.robot, table, model="dh") for table in (still, drifting))
+    told = reasons(other)[Why.DRIFT_REMOVED]
+    assert told["drift_m"] == pytest.approx(np.linalg.norm(drift), abs=3e-5)
+    assert Why.DRIFT not in reasons(other)
+    assert (one.verdict.use, other.verdict.use) == ("use", "use")
+    q = random_joint_values(scene.robot, 100, 8)
+    np.testing.assert_allclose(one.predict(q), other.predict(q), atol=5e-5)
+    validation = still.validation
+    residuals = [r.rows.residual_calibrated[validation] for r in (one, other)]
+    np.testing.assert_allclose(*residuals, atol=6e-5)
+    assert other.new_point == pytest.approx(one.new_point, rel=0.1)
+    assert Why.DRIFT_REMOVED not in reasons(one)
+
+
+def test_a_drift_seen_from_two_stations_stays_a_doubt(make_scene, join):
+    """Its direction is not the same along their axes."""
+    scene = make_scene(63, frames=2, length=3e-4, angle=3e-3, noise=3e-5)
+    m = join(scene.points(35, 0), scene.points(35, 1))
+    drift = np.linspace(0.0, 1.0, 70)[:, None] * np.array([4e-4, -3e-4, 2e-4])
+    cell = Cell(model="dh", estimate_frame=True)
+    result = calibrate(scene.robot, replace(m, points=m.points + drift), cell=cell)
+    assert Why.DRIFT_REMOVED not in reasons(result)

@@ -9,18 +9,19 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.reasons import Reason, Verdict, Why
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.numerics.repeats import Repeats
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.doubts import (
     _agreeing_repeats,
-    _negative_compliances,
-    _sole_postures,
+    negative_compliances,
     noise_doubts,
 )
 from calib.robot.ranges import random_joint_values
-from tests.hard_cases import made
 from tests.judged import arm, judged, reasons, table_of
 from tests.parts import with_part
 
@@ -116,8 +117,15 @@ def test_a_joint_that_moves_against_its_load_where_gravity_is_turned(make_scene)
     scene.x[scene.kinematics.model.family("compliance")] = 1e-4
     m = table_of(scene, random_joint_values(scene.robot, 70, 11), np.random.default_rng(11))
     up, down = (Cell(model="dh+compliance", gravity=(0.0, 0.0, g)) for g in (9.81, -9.81))
-    assert Why.COMPLIANCE_NEGATIVE in reasons(calibrate(scene.robot, m, cell=up))
-    assert Why.COMPLIANCE_NEGATIVE not in reasons(calibrate(scene.robot, m, cell=down))
+    wrong, right = (calibrate(scene.robot, m, cell=cell) for cell in (up, down))
+
+    def codes(verdict: Verdict) -> set[str]:
+        return {reason.code for reason in verdict.reasons}
+
+    assert "compliance_negative" in codes(wrong.non_geometric.verdict)
+    assert "compliance_negative" not in codes(right.non_geometric.verdict)
+    # The URDF holds no compliance.
+    assert "compliance_negative" not in codes(wrong.verdict)
 
 
 @pytest.mark.parametrize(
@@ -223,39 +231,44 @@ def test_repeats_that_agree_better_with_each_other_than_with_the_model(
     )
 
 
-def test_a_sole_posture_is_named_by_its_row_and_the_joint_that_it_alone_moves(make_scene):
-    """Repeats of the posture do not check it; its number is that of the table, whose first rows validate."""
-    scene = arm(make_scene, 62)
-    q = random_joint_values(scene.robot, 40, 3)
-    q[:, 3] = 0.9
-    q[[17, 18]] = q[17]
-    q[[17, 18], 3] = -0.9
-    table = table_of(scene, q, np.random.default_rng(2))
-    table = replace(table, sets=("validate",) * 5 + ("estimate",) * 35)
-    result = calibrate(scene.robot, table, model="dh", validate=False)
-    (reason,) = _sole_postures(result, result.fit.geometry.estimate.problem.rows)
-    assert reason.why == Why.SOLE_POSTURE
-    assert reason.values == {"rows": [18], "joints": ["wrist_1_joint"]}
-
-
 @pytest.mark.parametrize(
-    ("value", "half", "negative"),
-    [(-3e-5, 1e-5, True), (-1.5e-5, 1e-5, False), (3e-5, 1e-5, False)],
+    ("sizes", "std", "held", "negative"),
+    [
+        ((-3e-5,), 1e-5, False, False),
+        ((-6e-5,), 1e-5, False, True),
+        ((-6e-5,), 1e-5, True, False),  # by the user's bound
+        ((6e-5,), 1e-5, False, False),
+        ((-6e-5, 8e-5), 1e-5, False, False),  # a mass beside the points
+        ((-6e-5, -4e-5), 1e-5, False, True),
+        ((-4e-5, -1e-5), 1e-5, False, False),
+    ],
 )
-def test_a_compliance_is_negative_where_twice_its_interval_does_not_reach_zero(
-    value: float, half: float, negative: bool
+def test_a_joint_moves_against_its_load_if_its_compliances_add_up_to_less_than_nothing(
+    make_scene, sizes: tuple[float, ...], std: float, held: bool, negative: bool
 ):
-    result = made("non_geometric")
-    part = result.non_geometric
-    changed = tuple(
-        replace(p, value=value, low=value - half, high=value + half)
-        if p.name in ("elbow_joint.compliance", "a2")
-        else p
-        for p in part.parameters
+    """By more than twice the interval of the sum."""
+    scene = arm(make_scene, 71)
+    m = table_of(scene, random_joint_values(scene.robot, 12, 11), np.random.default_rng(11))
+    rows, setup = rows_and_setup(scene.robot, m, Cell(model="dh+gravity"))
+    fitted = fit(Task(scene.robot, Cell(), setup, "dh+gravity"), rows)
+    estimate, parameters = fitted.estimate, fitted.kinematics.model.parameters
+    of_elbow = [
+        k for k, p in enumerate(parameters) if (p.family, p.place) == ("gravity", "elbow_joint")
+    ]
+    columns = of_elbow[: len(sizes)]
+    x = np.zeros(len(parameters))
+    x[columns] = sizes
+    variances = np.zeros(len(parameters))
+    variances[columns] = std**2
+    changed = replace(
+        estimate,
+        x=x,
+        covariance=np.diag(variances),
+        freedom=1e6,
+        at_bound=tuple(columns) * held,
     )
-    found = _negative_compliances(replace(result, non_geometric=replace(part, parameters=changed)))
-    joints = [reason.values["joint"] for reason in found]
-    assert joints == ["elbow_joint"] * negative
+    found = negative_compliances(replace(fitted, estimate=changed))
+    assert [reason.values["joint"] for reason in found] == ["elbow_joint"] * negative
 
 
 @pytest.mark.parametrize(("silent", "why"), [(1, Why.NOISE_ABOVE_SIGMA), (2, Why.NOISE_LARGE)])

@@ -88,6 +88,30 @@ def test_a_small_share_is_not_rounded_to_nothing(share, percent):
     assert f"explains {percent} % of them (by chance 0.02 %; p < 1e-6)." in text
 
 
+@pytest.mark.parametrize(
+    ("rows", "joints", "said", "advice"),
+    [
+        ([7], ["elbow"], "Row 7 alone determines the errors of joint 'elbow',", "measure row 7"),
+        ([7, 9], ["elbow"] * 2, "Rows 7 and 9 alone determine the errors of", "measure them again"),
+        (
+            [7, 9],
+            ["elbow", "wrist"],
+            "joint 'elbow'; row 9 alone determines the errors of joint 'wrist',",
+            "with these joints at",
+        ),
+    ],
+)
+def test_rows_that_alone_determine_errors_are_told_with_their_joints(rows, joints, said, advice):
+    text = reason_text(Reason.of(Why.SOLE_POSTURE, rows=rows, joints=joints))
+    assert said in text
+    assert advice in text
+
+
+def test_a_drift_that_was_taken_out_is_told_in_millimetres():
+    text = reason_text(Reason.of(Why.DRIFT_REMOVED, drift_m=3.14e-4))
+    assert "drifted by 0.314 mm from the first row to the last" in text
+
+
 def test_rows_outside_may_be_images():
     values = {"rows": 80, "row": 3, "images": 2, "image": "b.png", "joint": "elbow", "by_rad": 0.1}
     text = reason_text(Reason(Why.OUTSIDE, values))

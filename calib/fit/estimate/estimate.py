@@ -122,6 +122,13 @@ def estimate_at_stage(
     has_priors = prior.source != "off"
     _, covariance_for_scores, freedom = stage.scoring_fit(linear)
     scores = linear.scores(solution.x[None], covariance_for_scores, stage.effective, stage.noise)
+    flag_limit = Limits.of(len(problem.rows), freedom[0]).flagged
+    if linear.stops is not None:
+        excess = stage.stop_excess(linear, solution.x[None])
+        thrown = linear.stops.weights_of_stops(stage.effective) == 0.0
+        of_stops = np.where(thrown, excess * flag_limit, 0.0)[:, linear.stops.stop_of_row]
+        rows = linear.stops.rows
+        scores[:, rows] = np.maximum(scores[:, rows], of_stops)
 
     equations = linear.normal_equations(stage.effective, stage.stop_shares)
     _, covariances = equations.posterior(np.sqrt(covariance_factor) * stage.noise, priors)
@@ -143,7 +150,7 @@ def estimate_at_stage(
         solution=replace(solution, x=read_only(x)),
         covariance=read_only(covariance),
         scores=read_only(scores[0]),
-        flag_limit=float(Limits.of(len(problem.rows), freedom[0]).flagged),
+        flag_limit=float(flag_limit),
         freedom=float(freedom[0]),
         noise=tuple(stage.noise[0].tolist()),
         prior_std=prior_std if has_priors else {},

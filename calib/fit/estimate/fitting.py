@@ -21,7 +21,6 @@ from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.solving import estimate_within_bounds
 from calib.fit.estimate.special_cases.pose_covariances import settle_pose_noise, with_joint_errors
-from calib.fit.estimate.special_cases.sole_postures import mark_sole_postures
 from calib.fit.estimate.task import Task
 from calib.fit.registration.registration import register, register_held_out
 from calib.fit.registration.rows import Rows
@@ -192,7 +191,6 @@ def fit(
         rows = replace(
             rows,
             weights=of_reference.weights,
-            sole=of_reference.rows.sole,
             pose_noise=of_reference.rows.pose_noise,
         )
         registered = reference.setup
@@ -216,7 +214,6 @@ def fit(
     problem = Problem.initial(kinematics, rows, task.distances).with_size_held()
     if task.has_weights_and_priors:
         prior = PriorTerms.of(task, model, registered)
-        problem = mark_sole_postures(problem, prior)
         estimate = estimate_within_bounds(problem, task, prior)
         estimate = settle_pose_noise(estimate, problem, task, prior)
     else:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.channels import Channels
 from calib.basics.values import Value
 from calib.fit.estimate.special_cases.stops import Stops
@@ -209,6 +209,41 @@ class LinearProblem(Value):
         norms = self.norms(x, covariance, weights, factors)
         scalars = np.sum(self.used, axis=1)
         return point_scores(norms, scalars)
+
+    def stop_scores(
+        self,
+        x: Array,
+        covariance: Array,
+        weights: Array,
+        stage: tuple[Array, Array],
+        in_fit: Mask,
+    ) -> tuple[Array, Integers]:
+        """Score stops as a whole, by how far a fit without the stop finds its body displaced; see `Stops`.
+
+        Args:
+            x: shape (B, p), parameters of each of B fits [m, rad, ...].
+            covariance: shape (B, p, p), of x, with what the targets of a stop share.
+            weights: shape (B, N), of the rows in the body of their stop.
+            stage: Noise, shape (B, C), and shares of stops, shape (B, C, 3).
+            in_fit: shape (B, S), whether each fit used the stop, with these weights.
+
+        Returns:
+            Of S stops the score, shape (B, S), >= 0, converted to that of a point; and the number of directions in
+            which the body can be displaced, shape (B, S).
+        """
+        assert self.stops is not None
+        scores = np.zeros(in_fit.shape)
+        directions = np.zeros(in_fit.shape, dtype=np.int_)
+        for b, (noise, shares) in enumerate(zip(*stage, strict=True)):
+            displaced = self.stops.displacements(self.columns, weights[b], noise, shares)
+            A = displaced[..., :-1]
+            r = displaced[..., -1] - A @ (x[b] - self.x)
+            unit = np.ones((1, *r.shape))
+            stop_weights = in_fit[b, None].astype(np.float64)
+            norms = deleted_norms(r[None], A, covariance[b, None], stop_weights, unit)
+            directions[b] = np.sum(np.any(displaced != 0.0, axis=2), axis=1)
+            scores[b] = point_scores(norms, directions[b])[0]
+        return scores, directions
 
     def norms(self, x: Array, covariance: Array, weights: Array, factors: Array) -> Array:
         """Compute the norms of the rows' deleted residuals: measured minus predicted by a fit without the row.

@@ -244,10 +244,9 @@ class Problem(Value):
     def observability(self, x: Array) -> Observability:
         """Analyse which combinations of parameters the rows and known distances determine.
 
-        Rows without weight do not count, except those of sole postures (which no other row can check). Angles and
-        pixels count as lengths, by the ratio of their given sigmas. If the arm's size is held, its growth counts as not
-        determined. Priors of internals of instruments count: they are what was stated or measured, as the print of a
-        board was; those of the robot are not.
+        Rows without weight do not count. Angles and pixels count as lengths, by the ratio of their given sigmas. If the
+        arm's size is held, its growth counts as not determined. Priors of internals of instruments count: they are what
+        was stated or measured, as the print of a board was; those of the robot are not.
 
         Args:
             x: shape (p,), offsets [m, rad, ...].
@@ -257,8 +256,7 @@ class Problem(Value):
             and the combinations of parameters that are not determined.
         """
         model, rows = self.kinematics.model, self.rows
-        has_weight = (self.weights > 0.0) | ~rows.checked
-        counts = rows.used & has_weight[:, None]
+        counts = rows.used & (self.weights > 0.0)[:, None]
         sigma_of_lengths = rows.sigma["m"][:, None, None]
         in_sigma = self.prediction_jacobian(x) / rows.scales[:, :, None]
         jacobian = (in_sigma * sigma_of_lengths)[counts]

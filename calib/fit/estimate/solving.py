@@ -18,7 +18,6 @@ from calib.fit.estimate.estimate import Estimate, estimate_at_stage, problem_at_
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
-from calib.fit.estimate.special_cases.sole_postures import add_sole_postures
 from calib.fit.estimate.stages import Stage, Weighting, run_stages
 from calib.fit.estimate.task import Task
 from calib.model.observability import steps
@@ -127,10 +126,8 @@ class StageSolver:
 def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
     """Estimate the parameters, weights, noise and prior standard deviations, without regard to bounds.
 
-    Rows of sole postures have no part in it; they move the parameters at the end (`add_sole_postures`).
-
     Args:
-        problem: The least-squares problem, with its rows of sole postures marked.
+        problem: The least-squares problem.
         task: The fit.
         prior: Priors, at whose means the first solve begins; parameters that are held at a bound have a narrow one. Its
             source says whether their standard deviations are estimated or kept.
@@ -144,12 +141,11 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
     rows = problem.rows
     weighting = Weighting.of(task.cell.repeats, task.robust, rows)
     solver = StageSolver(problem, task, prior.mean)
-    kept = rows.checked[None]
-    first = Stage.initial(prior, kept, len(problem.smallest_noise), weighting.start)
+    every_row = np.ones((1, len(rows)), dtype=bool)
+    first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
     stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting)
     solution = solver.solve(stage, _FINE)
-    estimate = estimate_at_stage(problem, stage, solution)
-    return add_sole_postures(estimate, problem, stage)
+    return estimate_at_stage(problem, stage, solution)
 
 
 def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
@@ -160,7 +156,7 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
     is beyond or released, or after `_ROUNDS` p further estimates.
 
     Args:
-        problem: The least-squares problem, with its rows of sole postures marked.
+        problem: The least-squares problem.
         task: The fit.
         prior: Priors and bounds of the p parameters, none of them held.
 

@@ -44,6 +44,10 @@ _LIKELIHOOD_ROUNDS = 2
 #: Outliers have no more than this share of the weight: otherwise the noise is underestimated, and all rows keep theirs.
 _MOST_OUTLIERS = 0.5
 
+#: Of a fit's stops at most this share is thrown out. If more of them are far from the others, what they share is not
+#: normal: a stop that is off as a whole is an accident, and accidents are rare.
+_MOST_STOPS = 0.15
+
 #: Noise up to so many times the lowest one allowed is rounding.
 _ROUNDING = 2.0
 
@@ -161,6 +165,41 @@ class Stage:
             independent = replace(self, stop_shares=np.zeros(self.stop_shares.shape))
             _, covariance, freedom = independent.fit(linear)
         return x, covariance, freedom
+
+    def stop_excess(self, linear: LinearProblem, x: Array) -> Array:
+        """Compute how far stops are off as a whole: their scores, by displacements of bodies, over the limit of these.
+
+        Args:
+            linear: The linearised problem, with S stops.
+            x: shape (B, p), parameters of each fit [m, rad, ...].
+
+        Returns:
+            shape (B, S), >= 0; 0 if few degrees of freedom are left. Rows without weight count only in stops that have
+            none with a weight: these are compared with what the others predict.
+        """
+        assert linear.stops is not None
+        _, covariance, freedom = self.fit(linear)
+        in_fit = linear.stops.weights_of_stops(self.effective) > 0.0
+        within = self.effective.copy()
+        rows = linear.stops.rows
+        apart = ~in_fit[:, linear.stops.stop_of_row]
+        within[:, rows] = np.where(apart, self.repeat_factor[:, rows], within[:, rows])
+        stage = (self.noise, self.stop_shares)
+        scores, directions = linear.stop_scores(x, covariance, within, stage, in_fit)
+        # What the parameters take from the scalars, they take from the displacements.
+        taken = np.sum(self.effective @ linear.used, axis=1) - freedom
+        left = np.sum(directions * in_fit, axis=1) - taken
+        limits = Limits.of(np.sum(in_fit, axis=1)[:, None], left[:, None])
+        return np.where(left[:, None] > FEWEST_FREEDOM, scores / limits.flagged, 0.0)
+
+    def without_stops(self, linear: LinearProblem) -> Stage:
+        """Return the stage without the rows of stops that are off as a whole."""
+        assert linear.stops is not None
+        x, _, _ = self.fit(linear)
+        off = self.stop_excess(linear, x) > 1.0
+        kept = self.kept.copy()
+        kept[:, linear.stops.rows] &= ~off[:, linear.stops.stop_of_row]
+        return replace(self, kept=kept, weights=self.weights * kept)
 
     def by_median(self, linear: LinearProblem) -> Stage:
         """Return the stage with the noise of medians, which outliers hardly move, and Cauchy's robust weights.
@@ -321,8 +360,11 @@ class Stage:
             result[fits] = new_values
             return result
 
+        kept = self.kept.copy()
+        kept[fits] = new.kept
         return replace(
             self,
+            kept=kept,
             weights=updated(self.weights, new.weights),
             repeat_factor=updated(self.repeat_factor, new.repeat_factor),
             noise=updated(self.noise, new.noise),
@@ -354,7 +396,11 @@ def run_stages(
     _, _, freedom = stage.fit(linear)
     robust = weighting.robust and bool(np.any(freedom > FEWEST_FREEDOM))
     by_likelihood_in_turn = (False, True) if robust else (True,)
-    for by_likelihood in by_likelihood_in_turn:
+
+    def settle(
+        stage: Stage, linear: LinearProblem, by_likelihood: bool
+    ) -> tuple[Stage, LinearProblem]:
+        """Repeat stages of one kind until the fits settle; return the last one, and the problem at its solution."""
         moving = np.arange(len(stage.kept))  # the fits that have not settled
         for _ in range(_ROUNDS):
             before = stage.select(moving)
@@ -370,6 +416,31 @@ def run_stages(
             moving = moving[~settled]
             if not len(moving):
                 break
+        return stage, linear
+
+    for by_likelihood in by_likelihood_in_turn:
+        stage, linear = settle(stage, linear, by_likelihood)
+    if not robust or linear.stops is None:
+        return stage, freedom
+
+    # Stops that are off as a whole are thrown out, until none is left or they are too many.
+    whole = stage
+    moving = np.arange(len(stage.kept))
+    while len(moving):
+        before = stage.select(moving)
+        after = before.without_stops(linear)
+        fewer = np.any(after.kept != before.kept, axis=1)
+        some = linear.stops.weights_of_stops(whole.kept.astype(np.float64)[moving]) > 0.0
+        left = linear.stops.weights_of_stops(after.kept.astype(np.float64)) > 0.0
+        too_many = np.sum(left, axis=1) < (1.0 - _MOST_STOPS) * np.sum(some, axis=1)
+        if np.any(too_many):
+            stage = stage.updated(moving[too_many], whole.select(moving[too_many]))
+            linear = linear_at(stage)
+        going = fewer & ~too_many
+        moving = moving[going]
+        if len(moving):
+            changed, linear = settle(after.select(np.flatnonzero(going)), linear, True)
+            stage = stage.updated(moving, changed)
     return stage, freedom
 
 

@@ -71,8 +71,6 @@ class Rows:
     blocks: Integers
     #: (N,), weights that a fit takes as they are, with repeats already shared out; None: the fit estimates them
     weights: Array | None = None
-    #: (N,), rows of sole postures, see `calib.fit.estimate.special_cases.sole_postures`; None: the fit finds them
-    sole: Mask | None = None
     #: (N, 6, 6), stated covariance of a measured pose's error: position [m] and rotation vector [rad], along the axes
     #: of the frame; NaN in rows without one, whose scalars are independent; None: no row has one
     covariances: Array | None = None
@@ -236,13 +234,6 @@ class Rows:
         return tuple(kind for kind, _ in self._by_kind)
 
     @property
-    def checked(self) -> Mask:
-        """Rows that other rows can check, shape (N,): all but those of sole postures."""
-        if self.sole is None:
-            return np.ones(len(self), dtype=bool)
-        return ~self.sole
-
-    @property
     def is_image(self) -> Mask:
         """Rows that are points of a board in images, shape (N,)."""
         return self.where(lambda kind: kind.is_image)
@@ -286,7 +277,6 @@ class Rows:
             poses=self.poses[chosen],
             blocks=self.blocks[chosen],
             weights=None if self.weights is None else self.weights[chosen],
-            sole=None if self.sole is None else self.sole[chosen],
             covariances=None if self.covariances is None else self.covariances[chosen],
             by_joints=None if self.by_joints is None else self.by_joints[chosen],
         )

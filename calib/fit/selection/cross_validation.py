@@ -225,7 +225,7 @@ def held_out_residuals_linear(
         residual = estimate.problem.residual(estimates[i])
         linear_residual = rows.in_units(linear.residual(estimates[i]))
         difference = (linear_residual - residual) / estimate.problem.scales
-        kept_rows = rows.checked & ~mask & (estimate.weights > 0.0)
+        kept_rows = ~mask & (estimate.weights > 0.0)
         kept = rows.used & kept_rows[:, None]
         if not np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR:
             continue
@@ -274,7 +274,7 @@ def _fit_without_folds(
     size = max(_AT_A_TIME // len(rows), 1)
     x, freedom = [], []
     for first in range(0, len(masks), size):
-        kept = rows.checked & ~masks[first : first + size]
+        kept = ~masks[first : first + size]
         stage = Stage.initial(prior, kept, len(linear.smallest_noise), weighting.start)
         stage, freedom_of_part = run_stages(stage, lambda _: linear, rows.poses, weighting)
         x.append(stage.fit(linear)[0])

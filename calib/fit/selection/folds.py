@@ -111,8 +111,6 @@ class Folds:
     def join(self, rows: Rows, residuals: Sequence[Array], outliers: Mask) -> CrossValidation:
         """Join the held-out residuals of all folds.
 
-        Rows of sole postures are left out of the errors: no other row predicts them.
-
         Args:
             rows: The N rows that were divided.
             residuals: Of each fold, measured minus predicted at the rows that it holds out, shape (n, d), in
@@ -125,15 +123,14 @@ class Folds:
         residual = np.zeros(rows.used.shape)
         for mask, of_fold in zip(self.masks, residuals, strict=True):
             residual[mask, : of_fold.shape[1]] = of_fold
-        checked = rows.checked
-        good = checked & ~outliers
+        good = ~outliers
         _, block = np.unique(rows.blocks, return_inverse=True)
         return CrossValidation(
             method=self.method,
             folds=len(self.masks),
             poses=block.reshape(-1),
             residual=read_only(residual),
-            errors=Errors.of(residual[checked], rows.channels.select(checked)),
+            errors=Errors.of(residual, rows.channels),
             errors_without_outliers=Errors.of(residual[good], rows.channels.select(good)),
         )
 

@@ -155,7 +155,7 @@ class Search:
             return max(fitted, key=lambda c: c.evidence).name
         estimate = self.reference.estimate
         scales = estimate.problem.scales
-        kept = self.rows.checked & (estimate.weights > 0.0)
+        kept = estimate.weights > 0.0
         errors = [pose_errors(c.cross_validation, scales, kept) for c in fitted]
         return preferred_geometry(fitted, errors)
 

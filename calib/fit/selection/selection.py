@@ -89,9 +89,8 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
 
     reference = fit(replace(task, model=largest), some_rows)
     start = without_vanished_families(largest, reference.estimate.prior_std)
-    # With the rows of sole postures marked.
-    marked_rows = reference.estimate.problem.rows
-    search_task, search_rows = with_known_points(task, reference, marked_rows)
+    fitted_rows = reference.estimate.problem.rows
+    search_task, search_rows = with_known_points(task, reference, fitted_rows)
     search = Search(search_task, search_rows, reference, tuple(geometries), families)
 
     # Until the chosen model's weights choose it again, or the reference explains more rows than it does.

@@ -11,7 +11,6 @@ from calib.data.cell import Cell, Priors
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.solving import StageSolver, _pulled_inwards, _without_holds
-from calib.fit.estimate.special_cases.sole_postures import mark_sole_postures
 from calib.fit.estimate.stages import Stage
 from calib.numerics.solvers import levenberg_marquardt
 from tests.fit.estimate.scene_fits import fitted, task_of
@@ -63,14 +62,6 @@ def test_a_stage_that_does_not_move_the_solution_needs_no_solve(setting):
     assert len(starts) == 1
     solution = solver.solve(replace(stage, weights=weights), 1e-9)
     assert np.linalg.norm((solution.x - moved.x) / 1e-3) < 0.1
-
-
-def test_sole_postures_are_marked_once(setting):
-    problem, _, prior, _, _ = setting
-    marked = mark_sole_postures(problem, prior)
-    assert marked.rows.sole is not None
-    assert marked.rows.sole.shape == (COUNT,)
-    assert mark_sole_postures(marked, prior) is marked
 
 
 def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_scene):

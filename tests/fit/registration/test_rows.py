@@ -229,14 +229,6 @@ def test_an_even_sample_has_a_row_of_each_target_though_they_be_more_than_asked_
     assert np.bincount(target[rows.evenly(3)]).tolist() == [1] * 5
 
 
-def test_rows_of_sole_postures_are_not_checked():
-    rows = some_rows(np.random.default_rng(13), [POINT] * 3)
-    assert rows.checked.tolist() == [True] * 3
-    sole = replace(rows, sole=np.array([True, False, False]))
-    assert sole.checked.tolist() == [False, True, True]
-    assert sole.select(slice(0, 2)).checked.tolist() == [False, True]
-
-
 def correlated_rows():
     """Rows of all kinds, of which the poses have covariances, one of them none."""
     rng = np.random.default_rng(20)

@@ -128,9 +128,6 @@ def test_residuals_of_folds_are_joined(make_scene):
     assert (joined.errors["m"].n, joined.errors_without_outliers["m"].n) == (4, 3)
     assert joined.errors["m"].max == pytest.approx(5e-3)
     assert joined.errors_without_outliers["m"].max == pytest.approx(np.sqrt(3.0) * 1e-3)
-    # Nothing predicts the rows of a sole posture.
-    sole = replace(rows, sole=np.array([True, False, False, False]))
-    assert folds.join(sole, residuals, outliers).errors["m"].n == 3
 
 
 def test_held_out_rows_are_measured_minus_predicted(make_scene):

@@ -3,6 +3,5 @@
 module            rows                                             what is done
 stops             several targets are measured at one standstill   their errors in common are estimated
 arm_size          nothing measures a length                        the arm keeps its nominal size
-sole_postures     a pose alone determines some parameters          it takes part after all other rows
 pose_covariances  measured poses have stated covariances           their scale, and what the robot adds, is estimated
 """

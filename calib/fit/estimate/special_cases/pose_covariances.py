@@ -54,7 +54,7 @@ def settle_pose_noise(
 
     Args:
         estimate: The estimate within bounds, with the noise of poses as it is in the problem.
-        problem: The least-squares problem, with its sole postures marked.
+        problem: The least-squares problem.
         task: The fit.
         prior: Priors of the parameters, none of them held.
 
@@ -116,11 +116,11 @@ def _evidence(estimate: Estimate) -> tuple[Array, Array, Array, Array] | None:
 
     C is the stated covariance, J_q J_q^T what errors of the joints do, and S the product r r^T of the residual plus the
     covariance of the prediction; see `calib.numerics.correlated_noise`. The poses have a covariance and a weight above
-    0, and are not sole postures; None if there are none, or too few degrees of freedom are left.
+    0; None if there are none, or too few degrees of freedom are left.
     """
     problem = estimate.problem
     rows = problem.rows
-    chosen = rows.correlated & rows.checked & (problem.weights > 0.0)
+    chosen = rows.correlated & (problem.weights > 0.0)
     if estimate.freedom < FEWEST_FREEDOM or not np.any(chosen):
         return None
     assert rows.covariances is not None

@@ -16,12 +16,17 @@ any mixed model (C. R. Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
 
+A stop at which the robot was off as a whole, as hardly any other was, is thrown out whole. Its score is the norm of the
+displacement of its body, measured minus predicted by a fit without the stop, in standard deviations of what V and that
+fit lead to expect (`Stops.displacements`); for a good stop the square over d', the number of its directions, follows
+F(d', freedom).
+
 The shares are estimated from the residuals of a fit by `calib.fit.estimate.special_cases.stop_shares`. Repeats of a
 target at a stop enter with their mean: what repeats share is found by `calib.fit.estimate.stages`. Each channel has
 shares of its own.
 
-`Problem` finds the `Stops` of a table. They have a part in the estimate at three places: `corrections` in the normal
-equations, `independent` in what a solver sees, and `estimate_shares` in each stage.
+`Problem` finds the `Stops` of a table. They have a part in the estimate at four places: `corrections` in the normal
+equations, `independent` in what a solver sees, `estimate_shares` in each stage, and `displacements` in the scores.
 """
 
 from __future__ import annotations
@@ -33,6 +38,7 @@ from numpy.typing import NDArray
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.fit.estimate.special_cases.stop_shares import (
+    BODY,
     PARTS,
     TINY,
     Moments,
@@ -47,6 +53,9 @@ from calib.model.parameter_sets import error_model
 
 #: Rows whose columns are copied at a time.
 _PART = 16_384
+
+#: Directions of a body whose squared singular value is below this share of the largest are rounding.
+_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,6 +229,47 @@ class Stops:
                 changes = change[stops._cell_of_row] * root_share[:, None, None]
                 result[:, :, stops.rows] += changes.transpose(2, 1, 0)
         return result
+
+    @property
+    def stop_of_row(self) -> Integers:
+        """Index of the stop of each of the n rows, (n,), from 0."""
+        return np.asarray(self._stop_of_cell[self._cell_of_row])
+
+    def weights_of_stops(self, weights: Array) -> Array:
+        """Return the sum of the weights of each stop's rows in B fits, (B, S); ``weights``, (B, N), are the table's."""
+        first = self._first_row[self._first_cell]
+        return np.asarray(np.add.reduceat(weights[:, self.rows], first, axis=1))
+
+    def displacements(self, columns: Array, weights: Array, noise: Array, rho: Array) -> Array:
+        """Reduce the scalars of each stop to the directions in which its body can be displaced.
+
+        With the means X over repeats, the Jacobian J by translations and rotations, and K^-1/2 J = U diag(s) Q^T, they
+        are U^T K^-1/2 X: independent of each other, and of the variance 1 if X is noise.
+
+        Args:
+            columns: shape (q, D, N), q columns of the table's scalars, in units of each scalar's given sigma.
+            weights: shape (N,), of the table's rows, >= 0.
+            noise: shape (C,), of each of C channels, in the same units.
+            rho: shape (C, 3), shares of each channel.
+
+        Returns:
+            shape (S, 6 C, q), 0 in directions that no scalar of a stop has.
+        """
+        parts = []
+        for stops in self._parts():
+            X = stops._rows_of(columns)
+            body = stops.J[:, :, BODY]
+            of_channels = []
+            for c in range(len(noise)):
+                both = np.concatenate([body, X / noise[c]], axis=2)
+                _, independent, _ = stops._independent_means(both, weights, c, rho[c])
+                sums = stops._sums(transposed(independent[..., BODY]) @ independent)
+                squares, Q = np.linalg.eigh(sums[..., BODY])
+                present = squares > _RANK_TOLERANCE * np.maximum(squares[:, -1:], TINY)
+                scale = present / np.sqrt(np.where(present, squares, 1.0))
+                of_channels.append(scale[:, :, None] * (transposed(Q) @ sums[..., BODY.stop :]))
+            parts.append(np.concatenate(of_channels, axis=1))
+        return np.concatenate(parts)
 
     def estimate_shares(
         self, columns: Array, change: Array, covariance: Array, weights: Array, rho: Array

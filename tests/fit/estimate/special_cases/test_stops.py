@@ -29,7 +29,7 @@ from tests.fits import joined, place
 from tests.places import ROOT
 
 sys.path.append(str(ROOT / "scripts"))
-from stops_study import Hand, compare_fits
+from stops_study import Hand, compare_fits, point_fit_errors
 
 from calib.fit.estimate.special_cases.stops import (
     of_unit_size,
@@ -551,3 +551,87 @@ def test_twists_of_joints_are_those_of_differences(ur3, sliding):
         twists = twists_of_joints(kinematics, Samples(q, frame, target))
         expected = differences(kinematics, q, frame, target)[:, :, list(turning)]
         np.testing.assert_allclose(twists, expected, atol=1e-5)
+
+
+# Stops that are off as a whole
+
+FREE_CELL = Cell(estimate_frame=True)
+
+
+@pytest.mark.parametrize("part", [7, 10_000])
+def test_displacements_of_bodies_are_independent_and_lose_nothing(mixed, monkeypatch, part):
+    """M reduces the scalars of a channel: M K M^T = I, and M keeps what K^-1 tells of the body."""
+    monkeypatch.setattr(stops_module, "_PART", part)
+    weights = np.random.default_rng(8).uniform(0.2, 1.0, len(mixed.rows))
+    weights[mixed.stops.rows[0]] = 0.0
+    noise = np.array([1.0, 2.0, 3.0])
+    K, row, column, number = dense(mixed, weights, RHO)
+    where = {r: k for k, r in enumerate(mixed.stops.rows.tolist())}
+    of_stops = np.array([r in where for r in row.tolist()])
+    units = np.zeros((len(row), mixed.rows.width, len(mixed.rows)))
+    units[np.arange(len(row)), column, row] = 1.0
+    M = mixed.stops.displacements(units, weights, noise, RHO)  # (S, 18, scalars)
+    for s, stop in enumerate(np.unique(mixed.stops.stops)):
+        for c in range(3):
+            own = of_stops & (number == c)
+            own[own] = [mixed.stops.stops[where[r]] == stop for r in row[own].tolist()]
+            reduced = M[s, 6 * c : 6 * c + 6][:, own] * noise[c]
+            reduced = reduced[np.any(reduced != 0.0, axis=1)]
+            if not np.any(own):
+                assert not len(reduced)
+                continue
+            K_own = K[np.ix_(own, own)]
+            np.testing.assert_allclose(reduced @ K_own @ reduced.T, np.eye(len(reduced)), atol=1e-8)
+            J = np.array(
+                [
+                    mixed.stops.J[where[r], d, :6]
+                    for r, d in zip(row[own].tolist(), column[own].tolist(), strict=True)
+                ]
+            )
+            told = J.T @ np.linalg.solve(K_own, J)
+            np.testing.assert_allclose(
+                (reduced @ J).T @ (reduced @ J), told, atol=1e-6 * np.abs(told).max()
+            )
+
+
+def fit_of(hand, points, stops=None):
+    """A fit to markers of a hand at some of its stops, with the rows that are flagged, (stops, markers)."""
+    chosen = np.ones(len(points), dtype=bool) if stops is None else stops
+    some = replace(hand, q=hand.q[chosen], points=points[chosen])
+    rows, setup = rows_and_setup(hand.true.robot, some.point_table(), FREE_CELL)
+    found = fit(Task(hand.true.robot, FREE_CELL, setup, "dh"), rows)
+    return found, found.estimate.outliers.reshape(-1, points.shape[1])
+
+
+#: Four and a half standard deviations of what the robot misses, too little for a single marker to be flagged.
+SHIFT = 4.5 * 3.0 * 5e-5
+
+
+@pytest.fixture(scope="module")
+def missing_hand(ur3):
+    return Hand.draw(ur3, 40, 3.0, 206)
+
+
+def test_a_stop_that_is_off_is_thrown_out_as_a_whole(missing_hand):
+    points = missing_hand.points.copy()
+    points[6] += SHIFT * np.array([0.6, -0.64, 0.48])
+    found, flagged = fit_of(missing_hand, points)
+    expected = np.zeros((40, 4), dtype=bool)
+    expected[6] = True
+    np.testing.assert_array_equal(flagged, expected)
+    np.testing.assert_array_equal(found.estimate.weights.reshape(40, 4)[6], 0.0)
+    without, _ = fit_of(missing_hand, points, np.arange(40) != 6)
+    errors = [point_fit_errors(missing_hand, fitted) for fitted in (found, without)]
+    np.testing.assert_allclose(*errors, atol=5e-6)
+
+
+def test_no_stop_is_thrown_out_of_good_ones(missing_hand):
+    assert not np.any(fit_of(missing_hand, missing_hand.points)[1])
+
+
+def test_many_stops_that_are_off_are_none(missing_hand):
+    points, rng = missing_hand.points.copy(), np.random.default_rng(1)
+    shift = rng.normal(size=(12, 1, 3))
+    points[:12] += SHIFT * shift / np.linalg.norm(shift, axis=2, keepdims=True)
+    _, flagged = fit_of(missing_hand, points)
+    assert not np.any(np.all(flagged, axis=1))
