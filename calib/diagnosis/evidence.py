@@ -45,6 +45,10 @@ _FALLS = 0.9
 #: what is expected over the joint limits.
 REMAINS = 0.4
 
+#: A scale error of the instrument matters if it adds more than this share of the nominal robot's error: without a fifth
+#: of it, a calibration is worth as much.
+_MATTERS = 0.2
+
 #: An expected error of more than so many times the nominal one is not a robot's.
 _FAR_MORE = 3.0
 
@@ -134,6 +138,10 @@ class Evidence:
     expected: float
     #: That of the nominal robot's predictions [m]
     expected_of_nominal: float
+    #: The part of ``expected`` that a scale error of the instrument adds [m]
+    by_scale: float = 0.0
+    #: That scale error, rms, a share
+    scale: float = 0.0
     #: Number of parameters of a full geometry, if `auto` may have chosen a smaller one; else 0
     full_model_parameters: int = 0
     #: Findings besides errors
@@ -238,7 +246,23 @@ class Evidence:
     @property
     def unpredictable(self) -> bool:
         """True if the error expected over the joint limits is several times the nominal one."""
-        return self.expected > _FAR_MORE * self.before.leading.rms
+        return self._expected_but_scale > _FAR_MORE * self.before.leading.rms
+
+    @property
+    def _expected_but_scale(self) -> float:
+        """The error expected over the joint limits if the instrument has no scale error [m]."""
+        return float(np.sqrt(max(self.expected**2 - self.by_scale**2, 0.0)))
+
+    @property
+    def scale_matters(self) -> bool:
+        """True if a scale error of the instrument takes a fifth of the nominal robot's error, or more."""
+        return self.by_scale > _MATTERS * max(self.expected_of_nominal, _TINY)
+
+    @property
+    def scale_decides(self) -> bool:
+        """True if too much of the error is expected to remain, but not if the instrument has no scale error."""
+        nominal = max(self.expected_of_nominal, _TINY)
+        return self.remains_everywhere > REMAINS >= self._expected_but_scale / nominal
 
     @property
     def _scalars(self) -> int:

@@ -73,6 +73,8 @@ def judge(evidence: Evidence) -> Verdict:
     if not evidence.proven and not against:
         care += improvements
         improvements = []
+        if evidence.scale_decides:
+            care.append(_scale(evidence))
         care = care or [Reason.of(Why.SMALL_GAIN, **_over_limits(evidence))]
 
     use = USE
@@ -89,6 +91,8 @@ def judge(evidence: Evidence) -> Verdict:
         (gained, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
     )
     information = _doubts(evidence, Role.INFORMATION)
+    if evidence.scale_matters and not any(reason.why is Why.SCALE_HIDDEN for reason in care):
+        information.append(_scale(evidence))
     reasons = (*against, *care, *gains, *improvements, *information, *evidence.notes)
     return Verdict(use, reasons)
 
@@ -204,6 +208,16 @@ def _both(evidence: Evidence) -> dict[str, Any]:
         "after": evidence.after,
         "method": evidence.calibrated.method,
     }
+
+
+def _scale(evidence: Evidence) -> Reason:
+    """Make the reason that the instrument's scale is not known well enough: its size, and effect over the limits [m].
+
+    With it is stated which share of the nominal robot's error the effect is.
+    """
+    share = evidence.by_scale / max(evidence.expected_of_nominal, evidence.by_scale)
+    values = {"scale": evidence.scale, "effect_m": evidence.by_scale, "share": share}
+    return Reason.of(Why.SCALE_HIDDEN, **values)
 
 
 def _many_outliers(evidence: Evidence) -> Reason:

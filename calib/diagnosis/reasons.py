@@ -157,6 +157,7 @@ class Why(str, Enum):
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     SCALE_HIDDEN = "scale_hidden", Role.INFORMATION
+    NOISE_BELOW_SIGMA = "noise_below_sigma", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
 
     # Explanations of the errors of newly measured rows

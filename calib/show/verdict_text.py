@@ -170,6 +170,8 @@ SENTENCES = {
     Why.NOISE_ABOVE_SIGMA: "Residual noise is {ratio:.0f} times the noise that the table or the "
     "cell states: {after} per coordinate instead of {before}. Is the stated noise right, and are "
     "the joint values exact?",
+    Why.NOISE_BELOW_SIGMA: "Residual noise is {after} per coordinate, and {before} was stated, {ratio:.0f} "
+    "times as much: the residuals are believed. Are the unit and the value of the stated noise right?",
     Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains "
     "{share:%.0f} % of the residuals: give the joint values as precisely as the controller knows "
     "them.",
@@ -177,17 +179,18 @@ SENTENCES = {
     f"{{moved_m:mm.2f}} mm in the tip, which {_SHARE}. {_FALLS} Was it knocked or remounted? Give "
     "those rows a new target name (column 'target').",
     Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error "
-    "{std:%.2f} %), more than those of any arm: check the instrument's scale (the size of a "
-    "printed board, a tracker's temperature, the unit).",
+    "{std:%.2f} %): either the arm's, more than those of any arm, or the instrument's. Check its "
+    "scale (the size of a printed board, a tracker's temperature, the unit).",
     Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no {family} does. Are "
     "the masses, the payload and the direction of gravity right?",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
     "URDF can represent it; calib compensate and predict() use it.",
     Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions: {after}.",
-    Why.SCALE_HIDDEN: "A scale error of the instrument of up to {scale:%.2f} % "
-    "({effect_m:mm.2f} mm at {reach_m:mm.0f} mm from the base) could be absorbed by the arm's "
-    "lengths. If its scale is certified, state it in the cell file: scale_certified = true.",
+    Why.SCALE_HIDDEN: "A scale error of the instrument, which the arm's lengths absorb, of about "
+    "{scale:%.2f} % is to be expected: {effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % "
+    "of the nominal robot's error. Name the instrument in the cell file (instrument = "
+    '"tracker"), or state that a known length was checked: scale_certified = true.',
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",

@@ -311,10 +311,28 @@ def test_much_remains_names_the_model_that_leaves_far_less():
     assert "model" not in reason.values
 
 
-def test_a_drift_that_predicts_nothing_and_a_hidden_scale_are_information():
-    hidden = Reason.of(Why.SCALE_HIDDEN, scale=1e-3, reach_m=0.6, effect_m=6e-4)
-    result = judge(replace(GOOD, doubts=(drifting(0.09), hidden)))
-    assert (result.use, codes(result)[-2:]) == ("use", [Why.DRIFT, Why.SCALE_HIDDEN])
+@pytest.mark.parametrize(
+    ("by_scale", "use", "first"),
+    [
+        (0.45e-3, "use", Why.GAIN),  # 18 % of the nominal error is no matter
+        (0.55e-3, "use", Why.GAIN),
+        (1.1e-3, "use with care", Why.SCALE_HIDDEN),
+    ],
+)
+def test_a_scale_is_named_where_it_matters_and_decides_where_too_much_would_remain(
+    by_scale: float, use: str, first: Why
+):
+    evidence = replace(GOOD, expected=float(np.hypot(0.2e-3, by_scale)), by_scale=by_scale)
+    result = judge(evidence)
+    assert (result.use, codes(result)[0]) == (use, first)
+    assert (Why.SCALE_HIDDEN in codes(result)) == (by_scale > 0.5e-3)
+    # Without the scale as much would remain: that is no matter of the instrument.
+    assert Why.SCALE_HIDDEN not in codes(judge(replace(evidence, by_scale=0.0)))
+
+
+def test_a_drift_that_predicts_nothing_is_information():
+    result = judge(replace(GOOD, doubts=(drifting(0.09),)))
+    assert (result.use, codes(result)[-1]) == ("use", Why.DRIFT)
     # Nor where the gain is not proven.
     result = judge(replace(GOOD, expected_of_nominal=2.2e-4, doubts=(drifting(-0.2),)))
     assert codes(result)[0] == Why.SMALL_GAIN

@@ -78,7 +78,8 @@ def test_the_scale_of_an_instrument(clean, share):
     scale = instrument_scale(fit_to(scene, replace(table, points=(1.0 + share) * table.points)))
     assert scale.share == pytest.approx(share, abs=3.0 * scale.std)
     assert scale.std < 1.5e-3
-    assert scale.hidden == pytest.approx(abs(scale.share) + 2.0 * scale.std)
+    assert scale.mean == pytest.approx(share, abs=3.0 * scale.std)
+    assert scale.size == pytest.approx(np.hypot(scale.mean, np.sqrt(scale.variance)))
     assert scale.p < 0.05
     reach = np.sqrt(np.mean(np.sum(table.points**2, axis=1)))
     assert scale.reach == pytest.approx(reach, rel=0.01)
@@ -89,7 +90,7 @@ def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     """Sockets measure nothing: only the distance grows, and the error that it then has is found."""
     scene, result = calibrated("sockets")
     scale = instrument_scale(result.fit.geometry)
-    assert not scale.measured
+    assert scale.prior == scale.size == 0.0
     assert abs(scale.share) < 3.0 * scale.std
     wrong = tuple(replace(one, length=1.01 * one.length) for one in result.fit.cell.distances)
     cell = replace(result.fit.cell, distances=wrong)

@@ -128,8 +128,9 @@ def test_the_error_at_a_new_point_has_what_the_model_lacks(calibrated):
     _, c = calibrated("points")
     here, elsewhere = c.new_point
     held_out = c.cross_validation.errors_without_outliers["m"].rms
-    assert here == held_out
-    added = c.geometry.expected_elsewhere**2 - c.geometry.expected_measured**2
+    assert here == pytest.approx(np.hypot(held_out, c.geometry.scale_measured))
+    assert c.geometry.scale_measured > held_out
+    added = c.geometry.expected_elsewhere**2 - c.geometry.noise_measured**2
     assert elsewhere**2 == pytest.approx(held_out**2 + added)
     alone = with_part(c, "geometry", cross_validation=None)
     assert alone.new_point == (c.geometry.expected_measured, c.geometry.expected_elsewhere)
