@@ -43,7 +43,7 @@ NOISE = 5e-5
 BETTER = 0.8
 
 #: The expected error covers the true one if that is no larger than so many times the expected error.
-COVERED = 1.25
+COVERED = 1.0
 
 #: What the cell says of the scale, by name.
 SAID = {

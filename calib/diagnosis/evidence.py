@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -44,10 +44,6 @@ _FALLS = 0.9
 #: A gain is proven if no more than this share of the nominal error remains, on held-out rows, noise subtracted, and in
 #: what is expected over the joint limits.
 REMAINS = 0.4
-
-#: A scale error of the instrument matters if it adds more than this share of the nominal robot's error: without a fifth
-#: of it, a calibration is worth as much.
-_MATTERS = 0.2
 
 #: An expected error of more than so many times the nominal one is not a robot's.
 _FAR_MORE = 3.0
@@ -265,17 +261,6 @@ class Evidence:
         return float(np.sqrt(max(self.expected**2 - self.by_scale**2, 0.0)))
 
     @property
-    def scale_matters(self) -> bool:
-        """True if a scale error of the instrument takes a fifth of the nominal robot's error, or more."""
-        return self.by_scale > _MATTERS * max(self.expected_of_nominal, _TINY)
-
-    @property
-    def scale_decides(self) -> bool:
-        """True if too much of the error is expected to remain, but not if the instrument has no scale error."""
-        nominal = max(self.expected_of_nominal, _TINY)
-        return self.remains_everywhere > REMAINS >= self._expected_but_scale / nominal
-
-    @property
     def _scalars(self) -> int:
         """Number of measured scalars, outliers aside; at least 1."""
         return max(int(np.sum(self.used[~self.outliers])), 1)
@@ -304,6 +289,12 @@ class Evidence:
         """True if the gain is proven at poses like those measured, and expected over the joint limits."""
         expected = self.remains_everywhere <= REMAINS
         return self.proven_where_measured and expected and not self.handful
+
+    @property
+    def scale_decides(self) -> bool:
+        """True if the gain is not proven, but would be if the instrument had no scale error."""
+        exact = replace(self, expected=self._expected_but_scale, by_scale=0.0)
+        return exact.proven and not self.proven
 
     # Flagged rows
 

@@ -71,11 +71,11 @@ def judge(evidence: Evidence) -> Verdict:
         (too_rough, Reason.of(Why.CAMERA_TOO_ROUGH)),
     )
     improvements += _doubts(evidence, Role.IMPROVE)
-    if not evidence.proven and not against:
+    if evidence.scale_decides and not against:
+        care.append(_scale(evidence))
+    elif not evidence.proven and not against:
         care += improvements
         improvements = []
-        if evidence.scale_decides:
-            care.append(_scale(evidence))
         care = care or [Reason.of(Why.SMALL_GAIN, **_over_limits(evidence))]
 
     use = USE
@@ -92,8 +92,6 @@ def judge(evidence: Evidence) -> Verdict:
         (gained, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
     )
     information = _doubts(evidence, Role.INFORMATION)
-    if evidence.scale_matters and not any(reason.why is Why.SCALE_HIDDEN for reason in care):
-        information.append(_scale(evidence))
     reasons = (*against, *care, *gains, *improvements, *information, *evidence.notes)
     return Verdict(use, reasons)
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
 from calib.basics.arrays import Array, Mask, read_only
 from calib.diagnosis.augmented_fit import UNLIKELY, AugmentedFit, estimate_jointly
@@ -54,6 +54,10 @@ _NOTHING = 2.0
 
 #: That which they have at least if they are right and say something about so many poses.
 _TELLING = 10.0
+
+#: The error that is expected at a new point contains a scale error that one in twenty exceeds. It is one number that
+#: displaces all points, and would exceed its root mean square in every third case.
+_SURE = 0.95
 
 
 def contradicted_values(fitted: Fitted, scale: Scale | None) -> Iterator[Reason]:
@@ -198,14 +202,17 @@ class Scale:
     share: float
     #: Its standard deviation, mostly from the uncertainty of the arm's lengths
     std: float
-    #: The p-value of no scale error
-    p: float
-    #: Distance of the target from the base, rms over the rows [m]
-    reach: float
+    #: Degrees of freedom of ``std``, which is mostly that of the arm's lengths; 1 or more
+    freedom: float
     #: Standard deviation of the instrument's scale error before any row is seen; 0 if known distances give the scale
     prior: float
     #: Shape (p,), change of the parameters by a scale error of 1 that the fit takes as 0, in their units
     growth: Array
+
+    @property
+    def p(self) -> float:
+        """P-value of no scale error, by the rows."""
+        return 2.0 * float(stdtr(self.freedom, -abs(self.share) / self.std))
 
     @property
     def mean(self) -> float:
@@ -221,6 +228,11 @@ class Scale:
     def size(self) -> float:
         """Root mean square of the share, by the prior and the rows."""
         return float(np.sqrt(self.mean**2 + self.variance))
+
+    @property
+    def bound(self) -> float:
+        """Size of the share that is exceeded with 5 % by chance, by the prior and the rows."""
+        return abs(self.mean) + float(stdtrit(self.freedom, _SURE) * np.sqrt(self.variance))
 
     @property
     def _weight(self) -> float:
@@ -264,13 +276,12 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
 
     joint = estimate_jointly(fitted, columns, known)
     prior = fitted.task.cell.scale_sigma if measured else 0.0
-    # The uncertainty is mostly that of the arm's lengths, whose prior is estimated with few degrees of freedom.
+    # The prior of the arm's lengths is estimated with few degrees of freedom.
     freedom = float(np.sum(joint.determined[lengths])) - 1.0
     return Scale(
         share=float(joint.b[0]),
         std=float(joint.std[0]),
-        p=joint.p_value(freedom),
-        reach=rms(np.linalg.norm(from_base, axis=1)),
+        freedom=max(freedom, 1.0),
         prior=prior,
         growth=read_only(joint.absorbed[:, 0]),
     )

@@ -194,36 +194,45 @@ class FittedModel(Value):
     def expected_elsewhere(self) -> float:
         """Standard deviation of the predicted point over the joint limits, rms [m], with what the model lacks.
 
+        It is that without a scale error of the instrument (``by_scale``).
         Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
         covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is ``extrapolation`` times as large, if it
-        is positive. A scale error of the instrument is none of these, and adds what it does.
+        is positive.
         """
         at_measured = self.noise_measured**2
-        by_scale = self.scale_everywhere**2
-        added = self.expected_everywhere**2 - by_scale - at_measured
+        added = self.expected_everywhere**2 - self.scale_everywhere**2 - at_measured
         factor = self.extrapolation if added > 0.0 else 1.0
-        return float(np.sqrt(at_measured + added * factor + by_scale))
+        return float(np.sqrt(at_measured + added * factor))
+
+    @property
+    def by_scale(self) -> tuple[float, float]:
+        """Errors at a new point, rms [m], by the largest scale error that the instrument may have (`Scale.bound`).
+
+        As in ``new_point`` they are those at poses like those measured, and over the joint limits.
+        """
+        if self.scale is None or self.scale.size == 0.0:
+            return 0.0, 0.0
+        factor = self.scale.bound / self.scale.size
+        return factor * self.scale_measured, factor * self.scale_everywhere
 
     @property
     def new_point(self) -> tuple[float, float]:
         """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, which includes what the
-        model lacks, and the scale error of the instrument, which these rows share. For the second the variance of the
-        prediction at the measured poses, the square of ``noise_measured``, is exchanged for that over the limits, the
-        square of ``expected_elsewhere``. Without cross-validation, or if no length was measured, ``expected_measured``
-        and ``expected_elsewhere`` are returned.
+        model lacks. For the second the variance of the prediction at the measured poses, the square of
+        ``noise_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without
+        cross-validation, or if no length was measured, these two are taken. To either is added what a scale error of
+        the instrument does, which held-out rows share (``by_scale``).
         """
-        at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
-        if (
-            self.cross_validation is None
-            or not self.cross_validation.errors_without_outliers["m"].n
-        ):
-            return at_measured, elsewhere
-        held_out = self.cross_validation.errors_without_outliers["m"].rms
-        beside_prediction = max(held_out**2 - self.noise_measured**2, 0.0)
-        near = float(np.hypot(held_out, self.scale_measured))
-        return near, float(np.sqrt(beside_prediction + elsewhere**2))
+        near, elsewhere = self.noise_measured, self.expected_elsewhere
+        validation = self.cross_validation
+        if validation is not None and validation.errors_without_outliers["m"].n:
+            held_out = validation.errors_without_outliers["m"].rms
+            elsewhere = float(np.sqrt(max(held_out**2 - near**2, 0.0) + elsewhere**2))
+            near = held_out
+        by_scale = self.by_scale
+        return float(np.hypot(near, by_scale[0])), float(np.hypot(elsewhere, by_scale[1]))
 
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
         """Return standard deviations of predicted poses of the target, sqrt(trace(J C J^T) + |J g|^2).

@@ -193,10 +193,10 @@ SENTENCES = {
     Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
     "URDF can represent it; calib compensate and predict() use it.",
     Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions: {after}.",
-    Why.SCALE_HIDDEN: "A scale error of the instrument, which the arm's lengths absorb, of about "
-    "{scale:%.2f} % is to be expected: {effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % "
-    "of the nominal robot's error. Name the instrument in the cell file (instrument = "
-    '"tracker"), or state that a known length was checked: scale_certified = true.',
+    Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
+    "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
+    'scale is known better, say so in the cell file: instrument = "tracker", sigma_scale_percent, or, once a known '
+    "length was checked, scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
     Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "

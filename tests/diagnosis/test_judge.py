@@ -330,23 +330,18 @@ def test_much_remains_names_the_model_that_leaves_far_less():
     assert "model" not in reason.values
 
 
-@pytest.mark.parametrize(
-    ("by_scale", "use", "first"),
-    [
-        (0.45e-3, "use", Why.GAIN),  # 18 % of the nominal error is no matter
-        (0.55e-3, "use", Why.GAIN),
-        (1.1e-3, "use with care", Why.SCALE_HIDDEN),
-    ],
-)
-def test_a_scale_is_named_where_it_matters_and_decides_where_too_much_would_remain(
-    by_scale: float, use: str, first: Why
-):
-    evidence = replace(GOOD, expected=float(np.hypot(0.2e-3, by_scale)), by_scale=by_scale)
-    result = judge(evidence)
-    assert (result.use, codes(result)[0]) == (use, first)
-    assert (Why.SCALE_HIDDEN in codes(result)) == (by_scale > 0.5e-3)
-    # Without the scale as much would remain: that is no matter of the instrument.
-    assert Why.SCALE_HIDDEN not in codes(judge(replace(evidence, by_scale=0.0)))
+def test_a_scale_is_named_where_too_much_would_remain_by_it_alone():
+    for by_scale, use in ((0.9e-3, "use"), (1.1e-3, "use with care")):
+        expected = float(np.hypot(0.2e-3, by_scale))
+        evidence = replace(GOOD, expected=expected, by_scale=by_scale, scale=2e-3)
+        result = judge(evidence)
+        assert result.use == use
+        assert (Why.SCALE_HIDDEN in codes(result)) == (use != "use")
+    first = result.reasons[0]
+    assert first.values == {"scale": 2e-3, "effect_m": by_scale, "share": pytest.approx(0.44)}
+    # Where as much remains without it, it is no matter of the instrument.
+    for other in ({"by_scale": 0.1e-3}, {"calibrated": validated(1.5e-3, 1)}):
+        assert Why.SCALE_HIDDEN not in codes(judge(replace(evidence, **other)))
 
 
 def test_a_drift_that_predicts_nothing_is_information():

@@ -101,9 +101,12 @@ def facts(c: Calibration) -> dict[str, str]:
         result[EXPECTED] = (
             f"{mm(near)} mm rms near the measured poses, {mm(everywhere)} mm over the joint limits."
         )
-        by_scale = c.geometry.scale_everywhere
-        if by_scale > _MOSTLY * everywhere:
-            result[EXPECTED] += f" Most of it is the instrument's scale, {mm(by_scale)} mm."
+        scale = c.geometry.scale
+        if scale is not None and c.geometry.by_scale[1] > _MOSTLY * everywhere:
+            result[EXPECTED] += (
+                f" Most of it is a scale error of the instrument of up to {100.0 * scale.bound:.2f} % in the "
+                "arm's lengths: if the scale is known better, say so in the cell file (instrument)."
+            )
 
     if c.geometry.prior_std:
         sizes = []
