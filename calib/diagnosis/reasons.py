@@ -161,7 +161,7 @@ class Why(str, Enum):
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
-    NOISE_BELOW_SIGMA = "noise_below_sigma", Role.INFORMATION
+    SIGMA_UNLIKELY = "sigma_unlikely", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
 
     # Explanations of the errors of newly measured rows

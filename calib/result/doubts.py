@@ -29,8 +29,12 @@ _FAR_LESS = 0.6
 #: The model lacks something if repeats scatter by less than this share of the noise.
 _SCATTER_SHARE = 0.5
 
-#: Noise more than so many times the one stated is not the instrument's; one that is as much smaller was misstated.
+#: Noise more than so many times the one stated is not the instrument's, and one that is as much smaller was misstated.
 _ABOVE = 5.0
+
+#: A robot that stops no better than it does explains residuals up to so many times the stated noise: the best
+#: instruments have a hundredth of a robot's repeatability.
+_FAR_ABOVE = 100.0
 
 #: A target that is estimated farther than this from where it was given was given wrongly [m].
 _ELSEWHERE = 5e-3
@@ -98,19 +102,17 @@ def noise_doubts(
     Args:
         result: The result with its table and cell in memory, which may state the noise.
         fitted: One of its fits.
-        doubts: Doubts so far. If a model lacks something, residuals are not noise, and nothing is yielded; nor if
-            residuals of a named geometry follow a joint.
+        doubts: Doubts so far. If a model lacks something, large residuals are not noise, and not named; nor if those of
+            a named geometry follow a joint.
 
     Yields:
         A reason with the noise of a scalar as stated and as estimated, in the channel's unit [m], [rad] or [px], and
-        their ratio; if none is stated, the estimated noise alone.
+        their ratio if the latter is too large; if none is stated, the estimated noise alone.
     """
     codes = {doubt.why for doubt in doubts}
-    if Why.MODEL_LACKS in codes:
-        return
-    # Nor are residuals that follow a joint noise, if no non-geometric model was tried.
-    if _is_named_model(result) and result.non_geometric is None and Why.JOINT_PATTERN in codes:
-        return
+    # Residuals that follow a joint are not noise either, if no non-geometric model was tried.
+    unexplained = _is_named_model(result) and result.non_geometric is None
+    lacking = Why.MODEL_LACKS in codes or (unexplained and Why.JOINT_PATTERN in codes)
 
     m, rows = result.fit.measurements, fitted.estimate.problem.rows
     for c, ratio in enumerate(fitted.estimate.problem.noise_over_sigma.tolist()):
@@ -124,15 +126,15 @@ def noise_doubts(
         if symbol in m.stated_sigma:
             by_row = m.stated_sigma[symbol][m.estimation][of_channel]
             stated |= bool(np.all(np.isfinite(by_row)))
+        sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
         if not stated:
-            if noise > unit.large_noise:
+            if noise > unit.large_noise and not lacking:
                 yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})
         elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):
-            sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
-            yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
-        elif _ABOVE * noise < sigma:
-            sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
-            yield Reason.of(Why.NOISE_BELOW_SIGMA, **sizes, ratio=sigma / noise)
+            if not lacking:
+                yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
+        elif sigma > _ABOVE * noise or noise > _FAR_ABOVE * sigma:
+            yield Reason.of(Why.SIGMA_UNLIKELY, **sizes)
 
 
 # What the poses determine

@@ -176,8 +176,8 @@ SENTENCES = {
     Why.NOISE_ABOVE_SIGMA: "Residual noise is {ratio:.0f} times the noise that the table or the "
     "cell states: {after} per coordinate instead of {before}. Is the stated noise right, and are "
     "the joint values exact?",
-    Why.NOISE_BELOW_SIGMA: "Residual noise is {after} per coordinate, and {before} was stated, {ratio:.0f} "
-    "times as much: the residuals are believed. Are the unit and the value of the stated noise right?",
+    Why.SIGMA_UNLIKELY: "The stated noise is {before} per coordinate, that of the residuals {after}. The "
+    "latter is believed: are the unit and the value of the stated one right?",
     Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains "
     "{share:%.0f} % of the residuals: give the joint values as precisely as the controller knows "
     "them.",

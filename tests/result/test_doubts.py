@@ -182,6 +182,10 @@ def test_every_joint_that_moved_in_a_small_part_of_its_range_is_named(make_scene
         (4e-3, None, Why.NOISE_LARGE),
         (4e-3, 4e-3, None),
         (4e-3, 2e-4, Why.NOISE_ABOVE_SIGMA),
+        (4e-5, 1e-6, None),  # the robot's repeatability
+        (4e-5, 4e-5 / 900.0, Why.SIGMA_UNLIKELY),
+        (4e-5, 1e-4, None),
+        (4e-5, 5e-3, Why.SIGMA_UNLIKELY),
     ],
 )
 def test_the_noise_of_lengths_is_held_against_the_stated_or_a_usual_one(
