@@ -284,7 +284,7 @@ class Cell(Value):
         "What measures: it says how well the scale is known, as a standard deviation: tracker 0.002 %, stereo and "
         "motion_capture 0.05 %, print 0.3 %.",
         default=None,
-        absent="unknown: 1 %; with a table `tracker` a tracker, with boards a print",
+        absent="unknown: 1 %; with a table `tracker` a tracker; boards state their own",
         check=Check(
             f"one of {choices(SCALE_SIGMAS)}",
             lambda value: value if value is None or value in SCALE_SIGMAS else None,
@@ -518,11 +518,11 @@ class Cell(Value):
             return self.stated_scale_sigma
         if self.scale_certified:
             return 0.0
+        if self.boards and self.instrument is None:
+            return max(board.sigma_scale for board in self.boards.values())
         named = self.instrument
         if named is None and self.tracker is not None:
             named = "tracker"
-        if named is None and self.boards:
-            named = "print"
         return SCALE_SIGMAS.get(named or "", UNKNOWN_SCALE)
 
     def __repr__(self) -> str:
