@@ -220,17 +220,18 @@ class FittedModel(Value):
         """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, which includes what the
-        model lacks. For the second the variance of the prediction at the measured poses, the square of
+        model lacks; it is no less than ``noise_measured``, as an error that all rows share, that of a print's size,
+        does not show in them. For the second the variance of the prediction at the measured poses, the square of
         ``noise_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without
         cross-validation, or if no length was measured, these two are taken. To either is added what a scale error of
-        the instrument does, which held-out rows share (``by_scale``).
+        the instrument does (``by_scale``).
         """
         near, elsewhere = self.noise_measured, self.expected_elsewhere
         validation = self.cross_validation
         if validation is not None and validation.errors_without_outliers["m"].n:
             held_out = validation.errors_without_outliers["m"].rms
             elsewhere = float(np.sqrt(max(held_out**2 - near**2, 0.0) + elsewhere**2))
-            near = held_out
+            near = max(held_out, near)
         by_scale = self.by_scale
         return float(np.hypot(near, by_scale[0])), float(np.hypot(elsewhere, by_scale[1]))
 
