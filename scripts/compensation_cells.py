@@ -113,7 +113,7 @@ def draw_cell(seed: int) -> VirtualCell:
     sigma = log_uniform(rng, *SIGMAS)
     table = measure(truth, poses, sigma, rng)
     given = robot if rng.integers(2) else without_masses(robot)
-    result = calibrate(given, table, cell=replace(cell, sigma={"m": sigma}))
+    result = calibrate(given, table, cell=replace(cell, sigma={"m": sigma}, scale_certified=True))
     direction = rng.normal(size=3)
     distance = rng.uniform(*TOOL_DISTANCES)
     away = distance * direction / np.linalg.norm(direction)

@@ -51,7 +51,9 @@ def paper_calibration() -> Calibration:
     """Calibrate the paper's UR3, as the demo does."""
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     table = Measurements.read(paper_measurements(), robot.joint_names)
-    return calibrate(robot, table, cell=Cell(target=read_only(PAPER_TARGET), model="paper"))
+    return calibrate(
+        robot, table, cell=Cell(target=read_only(PAPER_TARGET), model="paper", instrument="tracker")
+    )
 
 
 def panda_calibration() -> Calibration:

@@ -56,7 +56,7 @@ def main() -> None:
     arguments = parser.parse_args()
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
-    cell = Cell(target=read_only(PAPER_TARGET), model="paper")
+    cell = Cell(target=read_only(PAPER_TARGET), model="paper", instrument="tracker")
     result = calibrate(robot, table, cell=cell)
     folder = paper_urdf().parent
     result.write_urdf(folder / "ur3_calibrated.urdf", overwrite=True)

@@ -226,11 +226,15 @@ def expected_ratios(result: Calibration, q: Array, points: Array) -> dict[str, f
     Returns:
         The ratio of the geometry, and of the non-geometric model if there is one.
     """
-    error = rms_length(result.predict(q, non_geometric=False) - points)
-    ratios = {"geometry": result.new_point[0] / error}
+    parts = {"geometry": result.geometry}
     if result.non_geometric is not None:
-        error = rms_length(result.predict(q) - points)
-        ratios["non_geometric"] = result.non_geometric.new_point[0] / error
+        parts["non_geometric"] = result.non_geometric
+    ratios = {}
+    for name, part in parts.items():
+        error = rms_length(result.predict(q, non_geometric=name != "geometry") - points)
+        # The same instrument measured these points: what its scale error adds is not to be seen.
+        without_scale = np.sqrt(part.new_point[0] ** 2 - part.by_scale[0] ** 2)
+        ratios[name] = without_scale / error
     return ratios
 
 

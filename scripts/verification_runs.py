@@ -191,7 +191,8 @@ class TrueModel:
             angular = twists[:, 3:]
             bound_angle = float(np.einsum("nij,jk,nik->", angular, covariance, angular)) / len(q)
         true = self.kinematics.T_frame_base[0] @ self.truth.poses(q)
-        return Run(self.truth, table, cell, q, true, bound, bound_angle, free)
+        certified = replace(cell, scale_certified=True)  # by the simulation
+        return Run(self.truth, table, certified, q, true, bound, bound_angle, free)
 
     def _load(self, q: Array) -> Array | None:
         """Return the load that compliance needs, shape (N, n, n + 3), without lever arms; None if none is fitted."""

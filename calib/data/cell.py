@@ -42,6 +42,7 @@ from calib.basics.value_forms import (
     TRUTH,
     Check,
     Place,
+    decimal,
     named,
     one_of,
     text,
@@ -111,6 +112,16 @@ AUTO = "auto"
 
 #: Allowed values of `Cell.repeats`.
 REPEATS = ("weighted", "average", "independent")
+
+#: Standard deviation of an instrument's scale error, a share, by its name in ``Cell.instrument``. A laser tracker's
+#: unit of length is that of its laser, and air temperature and pressure leave 20 um/m; a wand or a bar of 0.5 m that is
+#: known to 0.25 mm gives the scale of stereo cameras and of motion capture; prints are off by 0.3 %.
+SCALE_SIGMAS: Mapping[str, float] = ReadOnlyMapping(
+    {"tracker": 2e-5, "stereo": 5e-4, "motion_capture": 5e-4, "print": 3e-3}
+)
+
+#: That of an instrument of which nothing is said: prints that nobody measured are off by up to 1 %.
+UNKNOWN_SCALE = 1e-2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,12 +277,35 @@ class Cell(Value):
     sigma: Mapping[str, float] = keys(
         sigma_keys, dict, default_factory=ReadOnlyMapping, check=ARE_SIGMAS
     )
-    #: True if the instrument's scale was certified; otherwise lengths of the arm may hide an error of it.
+    #: What measures the target, a name of `SCALE_SIGMAS`: how well its scale is known; None: not said.
+    instrument: str | None = key(
+        "instrument",
+        one_of(SCALE_SIGMAS),
+        "What measures: it says how well the scale is known, as a standard deviation: tracker 0.002 %, stereo and "
+        "motion_capture 0.05 %, print 0.3 %.",
+        default=None,
+        absent="unknown: 1 %; with a table `tracker` a tracker; boards state their own",
+        check=Check(
+            f"one of {choices(SCALE_SIGMAS)}",
+            lambda value: value if value is None or value in SCALE_SIGMAS else None,
+        ),
+    )
+    #: True if the instrument's scale was certified, and is exact unless ``stated_scale_sigma`` says how well.
     scale_certified: bool = key(
         "scale_certified",
         TRUTH,
-        "Whether the instrument's scale was certified or checked against a known length.",
+        "Whether the instrument's scale was certified or checked against a known length. Then it counts as exact, or "
+        "as known to `sigma_scale_percent`.",
         default=False,
+    )
+    #: Standard deviation of the scale error, a share; None: by ``scale_certified`` and ``instrument``.
+    stated_scale_sigma: float | None = key(
+        "sigma_scale_percent",
+        decimal("%", -2),
+        "Standard deviation of the instrument's scale error [%].",
+        default=None,
+        absent="by `scale_certified` and `instrument`",
+        check=Check("0 or more [%]", lambda value: value if value >= 0.0 else None),
     )
     #: Weighting of repeated poses: ``"weighted"``, ``"average"`` or ``"independent"``.
     repeats: str = key(
@@ -476,6 +510,20 @@ class Cell(Value):
                     f"'{name}' is tied to '{other}': it must not be frozen, have bounds or a "
                     f"prior as well, nor '{other}' be tied itself."
                 )
+
+    @property
+    def scale_sigma(self) -> float:
+        """Standard deviation of the instrument's scale error, a share, as stated or by its name; 0 is exact."""
+        if self.stated_scale_sigma is not None:
+            return self.stated_scale_sigma
+        if self.scale_certified:
+            return 0.0
+        if self.boards and self.instrument is None:
+            return max(board.sigma_scale for board in self.boards.values())
+        named = self.instrument
+        if named is None and self.tracker is not None:
+            named = "tracker"
+        return SCALE_SIGMAS.get(named or "", UNKNOWN_SCALE)
 
     def __repr__(self) -> str:
         """Return one line: the model, and the names of the other attributes that are not the default ones."""

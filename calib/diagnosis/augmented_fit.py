@@ -20,7 +20,10 @@ from calib.basics.arrays import Array, Mask
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
+from calib.fit.registration.registration import ENOUGH
+from calib.model.families import FAMILIES
 from calib.numerics.likelihood import GaussianPriors
 
 #: A finding with a smaller p-value is not due to chance.
@@ -45,6 +48,8 @@ class AugmentedFit:
     x: Array
     #: Shape (p,), share (0 to 1) to which the measurements rather than the prior determine each parameter
     determined: Array
+    #: Shape (p, k), change of the fit's own parameters with each additional unknown, if that is left out of the fit
+    absorbed: Array
     #: Prior standard deviation of each family, estimated again
     prior_std: Mapping[str, float]
 
@@ -108,7 +113,8 @@ def estimate_jointly(
     )
 
     weights = estimate.problem.weights[None]
-    prior_std = [estimate.prior_std.get(name, 1.0) for name in prior.names]
+    # A fit without priors is tested under those of usual arms.
+    prior_std = [estimate.prior_std.get(name, FAMILIES[name].typical) for name in prior.names]
     stage = Stage(
         prior=prior,
         kept=weights > 0.0,
@@ -118,16 +124,20 @@ def estimate_jointly(
         prior_std=np.array([prior_std]),
         stop_shares=estimate.problem.stop_shares[None],
     )
+    # Left out of the fit, the unknowns b move its parameters by what these make up for, -C_xb C_bb^-1 b.
+    p = len(estimate.x)
+    C = stage.fit(augmented)[1][0]
+    absorbed = -np.linalg.solve(C[p:, p:], C[p:, :p]).T
     stage = stage.by_likelihood(augmented, robust=False)
     fits = stage.fit(augmented)
     values, covariance = fits[0][0], fits[1][0]
-    p = len(estimate.x)
     shares_of_prior = np.diag(covariance)[:p] * stage.priors.precision[0, :p]
     return AugmentedFit(
         b=values[p:],
         covariance=covariance[p:, p:],
         x=values[:p],
         determined=1.0 - shares_of_prior,
+        absorbed=absorbed,
         prior_std=dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True)),
     )
 
@@ -154,6 +164,40 @@ def _augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) 
         C=np.hstack([linear.C, of_known]),
         held=np.pad(linear.held, (0, count)),
     )
+
+
+def thin(fitted: Fitted) -> tuple[Fitted, Mask]:
+    """Reduce a fit to about `ENOUGH` of its N rows, evenly over frames, targets and kinds, without fitting again.
+
+    It saves time in tests of large tables.
+
+    Args:
+        fitted: A fit to N rows.
+
+    Returns:
+        The fit with the same parameters, covariance and noise, and which rows it has, shape (N,); itself if N is small.
+    """
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    chosen = problem.rows.evenly(ENOUGH)
+    if np.all(chosen):
+        return fitted, chosen
+    rows = problem.rows.select(chosen)
+    reduced = replace(
+        Problem.initial(problem.kinematics, rows, problem.distances),
+        weights=problem.weights[chosen],
+        noise=problem.noise,
+        prior_precision=problem.prior_precision,
+        prior_mean=problem.prior_mean,
+        stop_shares=problem.stop_shares,
+        gauge=problem.gauge,
+    )
+    thinned = replace(
+        estimate,
+        problem=reduced,
+        scores=estimate.scores[chosen],
+        weights=estimate.weights[chosen],
+    )
+    return replace(fitted, estimate=thinned), chosen
 
 
 def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -134,6 +134,10 @@ class Evidence:
     expected: float
     #: That of the nominal robot's predictions [m]
     expected_of_nominal: float
+    #: The part of ``expected`` that a scale error of the instrument adds [m]
+    by_scale: float = 0.0
+    #: That scale error, rms, a share
+    scale: float = 0.0
     #: Number of parameters of a full geometry, if `auto` may have chosen a smaller one; else 0
     full_model_parameters: int = 0
     #: Findings besides errors
@@ -249,7 +253,12 @@ class Evidence:
     @property
     def unpredictable(self) -> bool:
         """True if the error expected over the joint limits is several times the nominal one."""
-        return self.expected > _FAR_MORE * self.before.leading.rms
+        return self._expected_but_scale > _FAR_MORE * self.before.leading.rms
+
+    @property
+    def _expected_but_scale(self) -> float:
+        """The error expected over the joint limits if the instrument has no scale error [m]."""
+        return float(np.sqrt(max(self.expected**2 - self.by_scale**2, 0.0)))
 
     @property
     def _scalars(self) -> int:
@@ -280,6 +289,12 @@ class Evidence:
         """True if the gain is proven at poses like those measured, and expected over the joint limits."""
         expected = self.remains_everywhere <= REMAINS
         return self.proven_where_measured and expected and not self.handful
+
+    @property
+    def scale_decides(self) -> bool:
+        """True if the gain is not proven, but would be if the instrument had no scale error."""
+        exact = replace(self, expected=self._expected_but_scale, by_scale=0.0)
+        return exact.proven and not self.proven
 
     # Flagged rows
 

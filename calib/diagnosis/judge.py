@@ -73,7 +73,9 @@ def judge(evidence: Evidence) -> Verdict:
         (too_rough, Reason.of(Why.CAMERA_TOO_ROUGH)),
     )
     improvements += _doubts(evidence, Role.IMPROVE)
-    if not evidence.proven and not against:
+    if evidence.scale_decides and not against:
+        care.append(_scale(evidence))
+    elif not evidence.proven and not against:
         care += improvements
         improvements = []
         care = care or [Reason.of(Why.SMALL_GAIN, **_over_limits(evidence))]
@@ -240,6 +242,16 @@ def _both(evidence: Evidence) -> dict[str, Any]:
         "after": evidence.after,
         "method": evidence.calibrated.method,
     }
+
+
+def _scale(evidence: Evidence) -> Reason:
+    """Make the reason that the instrument's scale is not known well enough: its size, and effect over the limits [m].
+
+    With it is stated which share of the nominal robot's error the effect is.
+    """
+    share = evidence.by_scale / max(evidence.expected_of_nominal, evidence.by_scale)
+    values = {"scale": evidence.scale, "effect_m": evidence.by_scale, "share": share}
+    return Reason.of(Why.SCALE_HIDDEN, **values)
 
 
 def _many_outliers(evidence: Evidence) -> Reason:

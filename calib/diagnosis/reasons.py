@@ -122,6 +122,7 @@ class Why(str, Enum):
     TARGET_FAR = "target_far", Role.GIVEN
     BASE_MOVED = "base_moved", Role.GIVEN
     LENGTHS_SCALED = "lengths_scaled", Role.CARE
+    SCALE_HIDDEN = "scale_hidden", Role.CARE
     NOISE_LARGE = "noise_large", Role.CARE, Group.NOT_NOISE
     NOISE_ABOVE_SIGMA = "noise_above_sigma", Role.CARE, Group.NOT_NOISE
 
@@ -174,8 +175,8 @@ class Why(str, Enum):
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
-    SCALE_HIDDEN = "scale_hidden", Role.INFORMATION
     DRIFT_REMOVED = "drift_removed", Role.INFORMATION
+    SIGMA_UNLIKELY = "sigma_unlikely", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
 
     # Explanations of the errors of newly measured rows

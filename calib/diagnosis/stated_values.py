@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array, Mask, read_only
 from calib.diagnosis.augmented_fit import UNLIKELY, AugmentedFit, estimate_jointly
 from calib.diagnosis.patterns import FALSE_ALARM
 from calib.diagnosis.reasons import Reason, Why
@@ -55,18 +55,21 @@ _NOTHING = 2.0
 #: That which they have at least if they are right and say something about so many poses.
 _TELLING = 10.0
 
+#: The error that is expected at a new point contains a scale error that one in twenty exceeds. It is one number that
+#: displaces all points, and would exceed its root mean square in every third case.
+_SURE = 0.95
 
-def contradicted_values(fitted: Fitted, *, scale_certified: bool) -> Iterator[Reason]:
+
+def contradicted_values(fitted: Fitted, scale: Scale | None) -> Iterator[Reason]:
     """Find stated values that the rows contradict, and covariances that explain nothing.
 
     Args:
         fitted: A fit. Unless its prior standard deviations were estimated from the data, only the covariances of poses
             are examined.
-        scale_certified: Whether the user states that the instrument's scale was certified or checked.
+        scale: The scale error of the instrument, as `instrument_scale` estimates it.
 
     Yields:
-        A reason for each. If the instrument's scale is not certified and not contradicted either, one states the scale
-        error that the rows could not tell from longer arms.
+        A reason for each.
     """
     task = fitted.task
     if task.has_weights_and_priors and task.cell.priors.source == "data":
@@ -83,17 +86,8 @@ def contradicted_values(fitted: Fitted, *, scale_certified: bool) -> Iterator[Re
                 effect_m=base.effect,
                 arm_m=base.effect_of_arm,
             )
-        scale = instrument_scale(fitted)
-        if scale is not None:
-            if abs(scale.share) > _SCALED and scale.p < FALSE_ALARM:
-                yield Reason.of(Why.LENGTHS_SCALED, scale=scale.share, std=scale.std, p=scale.p)
-            elif scale.measured and not scale_certified:
-                yield Reason.of(
-                    Why.SCALE_HIDDEN,
-                    scale=scale.hidden,
-                    reach_m=scale.reach,
-                    effect_m=scale.hidden * scale.reach,
-                )
+        if scale is not None and abs(scale.share) > _SCALED and scale.p < FALSE_ALARM:
+            yield Reason.of(Why.LENGTHS_SCALED, scale=scale.share, std=scale.std, p=scale.p)
         yield from _wrong_internals(fitted)
     yield from _idle_covariances(fitted)
 
@@ -198,23 +192,52 @@ def _p_of_offset(offset: float, joint: AugmentedFit, family: Mask, names: tuple[
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Scale error of the instrument, estimated jointly with the lengths of the arm."""
+    """Scale error s of the instrument, estimated jointly with the lengths of the arm.
+
+    With the prior s ~ N(0, prior^2) that the instrument has, and what the rows say of it, N(share, std^2), it is normal
+    with the precision 1 / prior^2 + 1 / std^2. A fit that takes s as 0 is off by ``growth`` s.
+    """
 
     #: Share by which all measured lengths are too long
     share: float
     #: Its standard deviation, mostly from the uncertainty of the arm's lengths
     std: float
-    #: The p-value of no scale error
-    p: float
-    #: Distance of the target from the base, rms over the rows [m]
-    reach: float
-    #: Whether any row measures a length; else known distances alone determine the scale
-    measured: bool
+    #: Degrees of freedom of ``std``, which is mostly that of the arm's lengths; 1 or more
+    freedom: float
+    #: Standard deviation of the instrument's scale error before any row is seen; 0 if known distances give the scale
+    prior: float
+    #: Shape (p,), change of the parameters by a scale error of 1 that the fit takes as 0, in their units
+    growth: Array
 
     @property
-    def hidden(self) -> float:
-        """Largest share that the rows cannot distinguish from lengths of the arm, at 95 %."""
-        return abs(self.share) + 2.0 * self.std
+    def p(self) -> float:
+        """P-value of no scale error, by the rows."""
+        return 2.0 * float(stdtr(self.freedom, -abs(self.share) / self.std))
+
+    @property
+    def mean(self) -> float:
+        """The share to expect, by the prior and the rows."""
+        return self.share * self._weight
+
+    @property
+    def variance(self) -> float:
+        """The variance of the share, by the prior and the rows."""
+        return self.std**2 * self._weight
+
+    @property
+    def size(self) -> float:
+        """Root mean square of the share, by the prior and the rows."""
+        return float(np.sqrt(self.mean**2 + self.variance))
+
+    @property
+    def bound(self) -> float:
+        """Size of the share that is exceeded with 5 % by chance, by the prior and the rows."""
+        return abs(self.mean) + float(stdtrit(self.freedom, _SURE) * np.sqrt(self.variance))
+
+    @property
+    def _weight(self) -> float:
+        """The weight of what the rows say, 0 to 1; the rest is the prior's."""
+        return self.prior**2 / (self.prior**2 + self.std**2) if self.prior > 0.0 else 0.0
 
 
 def instrument_scale(fitted: Fitted) -> Scale | None:
@@ -223,7 +246,7 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
     Rows that measure a length have the scale error, and so have the known distances between sockets; other rows do not.
 
     Args:
-        fitted: A fit with prior standard deviations from the data.
+        fitted: A fit; its cell says how well the scale is known. Without priors those of usual arms count.
 
     Returns:
         The scale error; None if no length of the arm is estimated, nothing measures a length, or the scale of a board
@@ -252,14 +275,15 @@ def instrument_scale(fitted: Fitted) -> Scale | None:
         return None
 
     joint = estimate_jointly(fitted, columns, known)
-    # The uncertainty is mostly that of the arm's lengths, whose prior is estimated with few degrees of freedom.
+    prior = fitted.task.cell.scale_sigma if measured else 0.0
+    # The prior of the arm's lengths is estimated with few degrees of freedom.
     freedom = float(np.sum(joint.determined[lengths])) - 1.0
     return Scale(
         share=float(joint.b[0]),
         std=float(joint.std[0]),
-        p=joint.p_value(freedom),
-        reach=rms(np.linalg.norm(from_base, axis=1)),
-        measured=measured,
+        freedom=max(freedom, 1.0),
+        prior=prior,
+        growth=read_only(joint.absorbed[:, 0]),
     )
 
 

@@ -220,6 +220,8 @@ _LAYOUT: JsonLayout = JsonLayout(
             "prior_std": replace(_PRIOR_STD, path="noise.prior_std"),
             "expected_measured": "expected.measured_rms_m",
             "expected_everywhere": "expected.everywhere_rms_m",
+            "scale_measured": "expected.scale_measured_rms_m",
+            "scale_everywhere": "expected.scale_everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
         },
         Setup: {"internals": "optics"},

@@ -80,7 +80,7 @@ def _collect_evidence(
     of_robot = model.model.of_robot
     lengths_and_angles = of_robot & np.isin(model.model.units, ("m", "rad"))
     changes = np.abs(model.x[lengths_and_angles])
-    expected, expected_of_nominal = _expected_over_limits(result, model)
+    expected, expected_of_nominal, by_scale = _expected_over_limits(result, model)
 
     # Repeats of one measurement, and the corners of one image, have one number.
     labels = np.column_stack([rows.is_image, np.where(rows.is_image, rows.blocks, rows.poses)])
@@ -118,6 +118,8 @@ def _collect_evidence(
         noise=result.noise.sigma,
         expected=expected,
         expected_of_nominal=expected_of_nominal,
+        by_scale=by_scale,
+        scale=0.0 if model.scale is None else model.scale.size,
     )
 
 
@@ -142,13 +144,15 @@ def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
     return np.asarray(by_channel[problem.rows.channels.index])
 
 
-def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[float, float]:
-    """Return the expected errors over the joint limits, rms [m], of a model of a result and of the nominal robot.
+def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[float, float, float]:
+    """Return expected errors over the joint limits, rms [m]: of a model, of the nominal robot, and the scale's part.
 
     With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
     factor f by which extrapolated errors exceed their variance, the model is off by e^2 = v_0 + f (v - v_0). It is d
     away from the nominal robot, of which (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f -
-    1) (v - v_0) + v, and by no less than the model. If the frame was estimated, or no row determines where the base
+    1) (v - v_0) + v, and by no less than the model. A scale error s of the instrument, with the mean m and the variance
+    u, adds (m^2 + u) |J g|^2 to the model's e^2, by the growth g of the parameters; the nominal robot's d is then that
+    from the model less m g, and u |J g|^2 is added. If the frame was estimated, or no row determines where the base
     stands, rigid motions of all positions do not count.
     """
     samples = result.samples(spread_poses(result.nominal))
@@ -158,16 +162,29 @@ def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[floa
     nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]
     points = poses[:, :3, 3]
     away = (nominal_points - points)[:, :, None]
+    growth = np.zeros((len(points), 3, 1))
+    mean = variance = 0.0
+    if model.scale is not None:
+        growth = J @ model.scale.growth[:, None]
+        mean, variance = model.scale.mean, model.scale.variance
     if result.method.frame_estimated or not result.rows.tells_place:
         away = without_rigid_motion(points, away)
+        growth = without_rigid_motion(points, growth)
         J = without_rigid_motion(points, J)
+    away = away + mean * growth
+    growth_square = float(np.mean(np.sum(growth**2, axis=(1, 2))))
     d_square = float(np.mean(np.sum(away**2, axis=(1, 2))))
     v = float(np.mean(np.einsum("nip,pq,niq->n", J, model.covariance, J, optimize=True)))
-    v_0 = min(model.expected_measured**2, v)
+    v_0 = min(model.noise_measured**2, v)
     added = v - v_0
     of_model = v_0 + model.extrapolation * added
     of_nominal = max(d_square - (model.extrapolation - 1.0) * added + v, of_model)
-    return float(np.sqrt(of_model)), float(np.sqrt(of_nominal))
+    by_scale = (mean**2 + variance) * growth_square
+    return (
+        float(np.sqrt(of_model + by_scale)),
+        float(np.sqrt(of_nominal + variance * growth_square)),
+        float(np.sqrt(by_scale)),
+    )
 
 
 def compare_validation_errors(

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
@@ -16,9 +16,7 @@ from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.diagnosis.usual_mistakes import doubtful_senses
 from calib.fit.estimate.fitting import Fitted, fit
-from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.special_cases.arm_size import measures_length
-from calib.fit.registration.registration import ENOUGH
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
 from calib.numerics.errors import interval_factor
@@ -31,8 +29,12 @@ _FAR_LESS = 0.6
 #: The model lacks something if repeats scatter by less than this share of the noise.
 _SCATTER_SHARE = 0.5
 
-#: Noise more than so many times the one stated is not the instrument's.
+#: Noise more than so many times the one stated is not the instrument's, and one that is as much smaller was misstated.
 _ABOVE = 5.0
+
+#: A robot that stops no better than it does explains residuals up to so many times the stated noise: the best
+#: instruments have a hundredth of a robot's repeatability.
+_FAR_ABOVE = 100.0
 
 #: A target that is estimated farther than this from where it was given was given wrongly [m].
 _ELSEWHERE = 5e-3
@@ -62,8 +64,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
             if distance > _ELSEWHERE:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
-    few, chosen = _thin(fitted)
-    yield from contradicted_values(few, scale_certified=cell.scale_certified)
+    few, chosen = thin(fitted)
+    yield from contradicted_values(few, (result.non_geometric or result.geometry).scale)
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)
@@ -90,56 +92,25 @@ def _is_named_model(result: Calibration) -> bool:
     return not result.method.candidates and has_weights_and_priors(result.method.solver)
 
 
-def _thin(fitted: Fitted) -> tuple[Fitted, Mask]:
-    """Reduce a fit to about `ENOUGH` of its N rows, evenly over frames, targets and kinds, without fitting again.
-
-    Parameters, covariance and noise stay; the mask, shape (N,), is True for these rows. It saves time in tests of large
-    tables.
-    """
-    problem, estimate = fitted.estimate.problem, fitted.estimate
-    chosen = problem.rows.evenly(ENOUGH)
-    if np.all(chosen):
-        return fitted, chosen
-    rows = problem.rows.select(chosen)
-    reduced = replace(
-        Problem.initial(problem.kinematics, rows, problem.distances),
-        weights=problem.weights[chosen],
-        noise=problem.noise,
-        prior_precision=problem.prior_precision,
-        prior_mean=problem.prior_mean,
-        stop_shares=problem.stop_shares,
-        gauge=problem.gauge,
-    )
-    thinned = replace(
-        estimate,
-        problem=reduced,
-        scores=estimate.scores[chosen],
-        weights=estimate.weights[chosen],
-    )
-    return replace(fitted, estimate=thinned), chosen
-
-
 def noise_doubts(
     result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
 ) -> Iterator[Reason]:
-    """Yield a reason for each channel whose estimated noise far exceeds the stated or, without one, a usual one.
+    """Yield a reason for each channel whose estimated noise is far from the stated or, without one, above a usual one.
 
     Args:
         result: The result with its table and cell in memory, which may state the noise.
         fitted: One of its fits.
-        doubts: Doubts so far. If a model lacks something, residuals are not noise, and nothing is yielded; nor if
-            residuals of a named geometry follow a joint.
+        doubts: Doubts so far. If a model lacks something, large residuals are not noise, and not named; nor if those of
+            a named geometry follow a joint.
 
     Yields:
         A reason with the noise of a scalar as stated and as estimated, in the channel's unit [m], [rad] or [px], and
-        their ratio; if none is stated, the estimated noise alone.
+        their ratio if the latter is too large; if none is stated, the estimated noise alone.
     """
     codes = {doubt.why for doubt in doubts}
-    if Why.MODEL_LACKS in codes:
-        return
-    # Nor are residuals that follow a joint noise, if no non-geometric model was tried.
-    if _is_named_model(result) and result.non_geometric is None and Why.JOINT_PATTERN in codes:
-        return
+    # Residuals that follow a joint are not noise either, if no non-geometric model was tried.
+    unexplained = _is_named_model(result) and result.non_geometric is None
+    lacking = Why.MODEL_LACKS in codes or (unexplained and Why.JOINT_PATTERN in codes)
 
     m, rows = result.fit.measurements, fitted.estimate.problem.rows
     for c, ratio in enumerate(fitted.estimate.problem.noise_over_sigma.tolist()):
@@ -153,12 +124,15 @@ def noise_doubts(
         if symbol in m.stated_sigma:
             by_row = m.stated_sigma[symbol][m.estimation][of_channel]
             stated |= bool(np.all(np.isfinite(by_row)))
+        sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
         if not stated:
-            if noise > unit.large_noise:
+            if noise > unit.large_noise and not lacking:
                 yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})
         elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):
-            sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
-            yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
+            if not lacking:
+                yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
+        elif sigma > _ABOVE * noise or noise > _FAR_ABOVE * sigma:
+            yield Reason.of(Why.SIGMA_UNLIKELY, **sizes)
 
 
 # What the model lacks

@@ -17,8 +17,10 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only
+from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
+from calib.diagnosis.stated_values import Scale, instrument_scale
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
 from calib.model.error_model import FRAME, TARGET, ErrorModel
@@ -26,7 +28,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.moves import last_moves
-from calib.numerics.rigid_motion import best_motion, displacements_by
+from calib.numerics.rigid_motion import best_motion, displacements_by, without_rigid_motion
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
@@ -81,7 +83,7 @@ class FittedModel(Value):
     kinematics: Kinematics
     #: Shape (p,), offsets from the registered start, in the parameters' units
     x: Array
-    #: Shape (p, p), of ``x``
+    #: Shape (p, p), of ``x`` if the instrument has no scale error
     covariance: Array
     #: Standard deviation of the prior of each family's errors, in its unit; empty without priors
     prior_std: Mapping[str, float]
@@ -99,6 +101,12 @@ class FittedModel(Value):
     expected_measured: float
     #: The same over joint values spread over the limits [m]
     expected_everywhere: float
+    #: The part of ``expected_measured`` that the scale error of the instrument adds, rms [m]
+    scale_measured: float = 0.0
+    #: That of ``expected_everywhere``
+    scale_everywhere: float = 0.0
+    #: The scale error of the instrument; None if no row and no length of the arm has one
+    scale: Scale | None = None
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
@@ -135,17 +143,19 @@ class FittedModel(Value):
             spread = np.linspace(0, len(rows) - 1, count).astype(int)
             poses, twists = twists_in_base(kinematics, x, rows.samples.select(spread))
             base_motion = read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
+        scale = instrument_scale(thin(fitted)[0])
         model = cls(
             kinematics=kinematics,
             x=x,
             covariance=fitted.estimate.covariance,
             prior_std=fitted.estimate.prior_std,
-            parameters=parameter_estimates(fitted, observability),
+            parameters=parameter_estimates(fitted, observability, scale),
             setup=fitted.estimated_setup(),
             base_motion=base_motion,
             cross_validation=cross_validation,
             expected_measured=np.nan,  # below: the model itself predicts
             expected_everywhere=np.nan,
+            scale=scale,
             extrapolation=extrapolation(fitted),
             **attributes,
         )
@@ -154,11 +164,27 @@ class FittedModel(Value):
         q, loads = spread_poses(robot), None
         if any(term.factor and term.factor.loaded for term in kinematics.model.terms):
             loads = gravity_loads(robot, q, cell.payload, cell.gravity)
+        of_measured, scale_of_measured = model._expected_error(rows.samples)
+        everywhere, scale_everywhere = model._expected_error(Samples.at(q, loads, last_moves(q)))
         return replace(
             model,
-            expected_measured=model._expected_error(rows.samples),
-            expected_everywhere=model._expected_error(Samples.at(q, loads, last_moves(q))),
+            expected_measured=of_measured,
+            expected_everywhere=everywhere,
+            scale_measured=scale_of_measured,
+            scale_everywhere=scale_everywhere,
         )
+
+    @property
+    def growth(self) -> Array:
+        """Change of the parameters by the scale error of the instrument, rms, shape (p,), in their units."""
+        if self.scale is None:
+            return np.zeros(len(self.x))
+        return self.scale.size * self.scale.growth
+
+    @property
+    def noise_measured(self) -> float:
+        """``expected_measured`` without the scale error of the instrument [m]."""
+        return float(np.sqrt(max(self.expected_measured**2 - self.scale_measured**2, 0.0)))
 
     @property
     def model(self) -> ErrorModel:
@@ -169,39 +195,52 @@ class FittedModel(Value):
     def expected_elsewhere(self) -> float:
         """Standard deviation of the predicted point over the joint limits, rms [m], with what the model lacks.
 
+        It is that without a scale error of the instrument (``by_scale``).
         Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
         covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is ``extrapolation`` times as large, if it
         is positive.
         """
-        at_measured = self.expected_measured**2
-        added = self.expected_everywhere**2 - at_measured
+        at_measured = self.noise_measured**2
+        added = self.expected_everywhere**2 - self.scale_everywhere**2 - at_measured
         factor = self.extrapolation if added > 0.0 else 1.0
         return float(np.sqrt(at_measured + added * factor))
+
+    @property
+    def by_scale(self) -> tuple[float, float]:
+        """Errors at a new point, rms [m], by the largest scale error that the instrument may have (`Scale.bound`).
+
+        As in ``new_point`` they are those at poses like those measured, and over the joint limits.
+        """
+        if self.scale is None or self.scale.size == 0.0:
+            return 0.0, 0.0
+        factor = self.scale.bound / self.scale.size
+        return factor * self.scale_measured, factor * self.scale_everywhere
 
     @property
     def new_point(self) -> tuple[float, float]:
         """Expected error at a new point, rms [m]: at poses like those measured, and over the joint limits.
 
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, which includes what the
-        model lacks. For the second the variance of the prediction at the measured poses, the square of
-        ``expected_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without
-        cross-validation, or if no length was measured, these two are returned, by the covariance alone.
+        model lacks; it is no less than ``noise_measured``, as an error that all rows share, that of a print's size,
+        does not show in them. For the second the variance of the prediction at the measured poses, the square of
+        ``noise_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without
+        cross-validation, or if no length was measured, these two are taken. To either is added what a scale error of
+        the instrument does (``by_scale``).
         """
-        at_measured, elsewhere = self.expected_measured, self.expected_elsewhere
-        if (
-            self.cross_validation is None
-            or not self.cross_validation.errors_without_outliers["m"].n
-        ):
-            return at_measured, elsewhere
-        held_out = self.cross_validation.errors_without_outliers["m"].rms
-        beside_prediction = max(held_out**2 - at_measured**2, 0.0)
-        return held_out, float(np.sqrt(beside_prediction + elsewhere**2))
+        near, elsewhere = self.noise_measured, self.expected_elsewhere
+        validation = self.cross_validation
+        if validation is not None and validation.errors_without_outliers["m"].n:
+            held_out = validation.errors_without_outliers["m"].rms
+            elsewhere = float(np.sqrt(max(held_out**2 - near**2, 0.0) + elsewhere**2))
+            near = max(held_out, near)
+        by_scale = self.by_scale
+        return float(np.hypot(near, by_scale[0])), float(np.hypot(elsewhere, by_scale[1]))
 
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
-        """Return standard deviations of predicted poses of the target, sqrt(trace(J C J^T)).
+        """Return standard deviations of predicted poses of the target, sqrt(trace(J C J^T) + |J g|^2).
 
-        C is the covariance of the parameters, J the derivative of the position, or of the orientation, by them. Errors
-        that the model lacks are not included.
+        C is the covariance of the parameters, g their change by the instrument's scale error (``growth``), J the
+        derivative of the position, or of the orientation, by them. Errors that the model lacks are not included.
 
         Args:
             samples: N joint values, with the frame, the target and the loads of each.
@@ -221,17 +260,25 @@ class FittedModel(Value):
             _, twists = self.kinematics.twists(self.x, samples)
         # Twists are of the shape (N, 6, p), linear [m] then angular [rad] a unit of each parameter.
         JC = (twists.reshape(-1, len(self.x)) @ self.covariance).reshape(twists.shape)
-        variance_by_axis = np.sum(JC * twists, axis=2)
+        variance_by_axis = np.sum(JC * twists, axis=2) + (twists @ self.growth) ** 2
         variance = variance_by_axis.reshape(-1, 2, 3).sum(axis=2)
         return read_only(np.sqrt(np.maximum(variance, 0.0)))
 
-    def _expected_error(self, samples: Samples) -> float:
-        """Return the standard deviation of predicted positions, rms over the first samples [m].
+    def _expected_error(self, samples: Samples) -> tuple[float, float]:
+        """Return the standard deviation of predicted positions, rms over the first samples, and the scale's part [m].
 
+        A frame that is estimated takes the rigid motion off the growth of the arm, which does not displace the robot.
         They are predicted in the base if the model has a ``base_motion``, else in each sample's measurement frame.
         """
         first = samples.select(slice(0, _MOST_EXPECTED))
-        return rms(self.pose_std(first, in_base=self.base_motion is not None)[:, 0])
+        in_base = self.base_motion is not None
+        exact = rms(replace(self, scale=None).pose_std(first, in_base=in_base)[:, 0])
+        poses, twists = twists_in_base(self.kinematics, self.x, first)
+        grown = twists[:, :3] @ self.growth[:, None]
+        if in_base or any(self.setup.unknown):
+            grown = without_rigid_motion(poses[:, :3, 3], grown)
+        by_scale = rms(np.linalg.norm(grown, axis=(1, 2)))
+        return float(np.hypot(exact, by_scale)), by_scale
 
     def tips(self, samples: Samples) -> Array:
         """Return T_base_tip, the pose of the tip in the base, the joints' own errors included.
@@ -281,7 +328,7 @@ class NonGeometric(FittedModel):
 
 
 def parameter_estimates(
-    fitted: Fitted, observability: Observability
+    fitted: Fitted, observability: Observability, scale: Scale | None = None
 ) -> tuple[ParameterEstimate, ...]:
     """Return nominal value, value, interval and prior of each parameter of a fit.
 
@@ -292,6 +339,7 @@ def parameter_estimates(
     Args:
         fitted: A fit with p parameters.
         observability: Which of them the fitted rows determine, not in combinations only.
+        scale: The scale error of the instrument, which widens the intervals; None: there is none.
 
     Returns:
         One entry for each parameter, in the order of the parameter vector x and in the parameter's unit. The interval
@@ -299,6 +347,8 @@ def parameter_estimates(
     """
     estimate, model = fitted.estimate, fitted.kinematics.model
     std = np.sqrt(np.diag(estimate.covariance))
+    if scale is not None:
+        std = np.hypot(std, scale.size * scale.growth)
     std[list(estimate.at_bound)] = np.nan
     half_width = interval_factor(estimate.freedom) * std
     precision = estimate.problem.prior_precision

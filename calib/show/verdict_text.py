@@ -193,6 +193,8 @@ SENTENCES = {
     Why.NOISE_ABOVE_SIGMA: "Residual noise is {ratio:.0f} times the noise that the table or the "
     "cell states: {after} per coordinate instead of {before}. Is the stated noise right, and are "
     "the joint values exact?",
+    Why.SIGMA_UNLIKELY: "The stated noise is {before} per coordinate, that of the residuals {after}. The "
+    "latter is believed: are the unit and the value of the stated one right?",
     Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains "
     "{share:%.0f} % of the residuals: give the joint values as precisely as the controller knows "
     "them.",
@@ -200,8 +202,8 @@ SENTENCES = {
     f"{{moved_m:mm.2f}} mm in the tip, which {_SHARE}. {_FALLS} Was it knocked or remounted? Give "
     "those rows a new target name (column 'target').",
     Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error "
-    "{std:%.2f} %), more than those of any arm: check the instrument's scale (the size of a "
-    "printed board, a tracker's temperature, the unit).",
+    "{std:%.2f} %): either the arm's, more than those of any arm, or the instrument's. Check its "
+    "scale (the size of a printed board, a tracker's temperature, the unit).",
     Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no {family} does. Are "
     "the masses, the payload and the direction of gravity right?",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
@@ -212,9 +214,10 @@ SENTENCES = {
     "take the order of the rows into account; the URDF cannot: approach poses from one side.",
     Why.CREEPS: "'{joint}' was measured {short} of its last move{other_joints}. Wait longer at each pose, or "
     "let predict() and calib compensate take the order of the rows into account; the URDF cannot.",
-    Why.SCALE_HIDDEN: "A scale error of the instrument of up to {scale:%.2f} % "
-    "({effect_m:mm.2f} mm at {reach_m:mm.0f} mm from the base) could be absorbed by the arm's "
-    "lengths. If its scale is certified, state it in the cell file: scale_certified = true.",
+    Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
+    "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
+    'scale is known better, say so in the cell file: instrument = "tracker", sigma_scale_percent, or, once a known '
+    "length was checked, scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
     Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "

@@ -334,10 +334,23 @@ def test_much_remains_names_the_model_that_leaves_far_less():
     assert "model" not in reason.values
 
 
-def test_a_drift_that_predicts_nothing_and_a_hidden_scale_are_information():
-    hidden = Reason.of(Why.SCALE_HIDDEN, scale=1e-3, reach_m=0.6, effect_m=6e-4)
-    result = judge(replace(GOOD, doubts=(drifting(0.09), hidden)))
-    assert (result.use, codes(result)[-2:]) == ("use", [Why.DRIFT, Why.SCALE_HIDDEN])
+def test_a_scale_is_named_where_too_much_would_remain_by_it_alone():
+    for by_scale, use in ((0.9e-3, "use"), (1.1e-3, "use with care")):
+        expected = float(np.hypot(0.2e-3, by_scale))
+        evidence = replace(GOOD, expected=expected, by_scale=by_scale, scale=2e-3)
+        result = judge(evidence)
+        assert result.use == use
+        assert (Why.SCALE_HIDDEN in codes(result)) == (use != "use")
+    first = result.reasons[0]
+    assert first.values == {"scale": 2e-3, "effect_m": by_scale, "share": pytest.approx(0.44)}
+    # Where as much remains without it, it is no matter of the instrument.
+    for other in ({"by_scale": 0.1e-3}, {"calibrated": validated(1.5e-3, 1)}):
+        assert Why.SCALE_HIDDEN not in codes(judge(replace(evidence, **other)))
+
+
+def test_a_drift_that_predicts_nothing_is_information():
+    result = judge(replace(GOOD, doubts=(drifting(0.09),)))
+    assert (result.use, codes(result)[-1]) == ("use", Why.DRIFT)
     # Nor where the gain is not proven.
     result = judge(replace(GOOD, expected_of_nominal=2.2e-4, doubts=(drifting(-0.2),)))
     assert codes(result)[0] == Why.SMALL_GAIN

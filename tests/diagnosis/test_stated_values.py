@@ -10,6 +10,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.stated_values import (
+    Scale,
     _idle_covariances,
     _wrong_internals,
     instrument_scale,
@@ -78,10 +79,23 @@ def test_the_scale_of_an_instrument(clean, share):
     scale = instrument_scale(fit_to(scene, replace(table, points=(1.0 + share) * table.points)))
     assert scale.share == pytest.approx(share, abs=3.0 * scale.std)
     assert scale.std < 1.5e-3
-    assert scale.hidden == pytest.approx(abs(scale.share) + 2.0 * scale.std)
+    assert scale.mean == pytest.approx(share, abs=3.0 * scale.std)
+    assert scale.size == pytest.approx(np.hypot(scale.mean, np.sqrt(scale.variance)))
     assert scale.p < 0.05
-    reach = np.sqrt(np.mean(np.sum(table.points**2, axis=1)))
-    assert scale.reach == pytest.approx(reach, rel=0.01)
+
+
+def test_few_determined_lengths_bound_the_scale_less():
+    """Student's t: its p-value, and the bound that one in twenty exceeds."""
+    given = {"share": 2e-3, "std": 1e-3, "prior": 1e9, "growth": np.ones(1)}
+    few, many = Scale(freedom=2.0, **given), Scale(freedom=1e6, **given)
+    assert many.p == pytest.approx(0.0455, rel=1e-3)
+    assert few.p == pytest.approx(0.1835, rel=1e-3)
+    assert many.bound == pytest.approx(3.645e-3, rel=1e-3)
+    assert few.bound == pytest.approx(4.920e-3, rel=1e-3)
+    named = replace(few, prior=1e-3)
+    assert (named.mean, named.variance) == (pytest.approx(1e-3), pytest.approx(5e-7))
+    certified = replace(few, prior=0.0)
+    assert (certified.size, certified.bound) == (0.0, 0.0)
 
 
 @pytest.mark.slow
@@ -89,7 +103,7 @@ def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
     """Sockets measure nothing: only the distance grows, and the error that it then has is found."""
     scene, result = calibrated("sockets")
     scale = instrument_scale(result.fit.geometry)
-    assert not scale.measured
+    assert scale.prior == scale.size == 0.0
     assert abs(scale.share) < 3.0 * scale.std
     wrong = tuple(replace(one, length=1.01 * one.length) for one in result.fit.cell.distances)
     cell = replace(result.fit.cell, distances=wrong)

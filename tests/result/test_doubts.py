@@ -27,9 +27,9 @@ from tests.parts import with_part
 
 
 def test_good_data_give_no_reason_for_care(make_scene):
-    result = judged(make_scene, 61)
+    result = judged(make_scene, 61, cell=Cell(model="dh", instrument="tracker"))
     assert result.verdict.use == "use"
-    assert list(reasons(result)) == [Why.GAIN, Why.SCALE_HIDDEN]
+    assert list(reasons(result)) == [Why.GAIN]
 
 
 def test_a_target_that_is_not_where_it_was_given(make_scene):
@@ -60,11 +60,34 @@ def test_a_base_that_does_not_stand_where_the_known_frame_puts_it(make_scene):
 
 
 def test_a_certified_scale_hides_nothing(make_scene):
-    hidden = reasons(judged(make_scene, 61))[Why.SCALE_HIDDEN]
-    assert 2e-4 < hidden["scale"] < 5e-3
-    assert hidden["effect_m"] == pytest.approx(hidden["scale"] * hidden["reach_m"])
+    def stretched(m):
+        return replace(m, points=1.01 * m.points)
+
+    wrong = judged(make_scene, 61, stretched)
+    hidden = reasons(wrong)[Why.SCALE_HIDDEN]
+    assert wrong.verdict.use != "use"
+    assert hidden["scale"] == pytest.approx(0.01, rel=0.3)
+    assert wrong.geometry.scale_everywhere == pytest.approx(hidden["effect_m"], rel=0.05)
+    assert wrong.new_point[1] > 0.9 * hidden["effect_m"]
     certified = Cell(model="dh", scale_certified=True)
-    assert Why.SCALE_HIDDEN not in reasons(judged(make_scene, 61, cell=certified))
+    sure = judged(make_scene, 61, stretched, cell=certified)
+    assert Why.SCALE_HIDDEN not in reasons(sure)
+    assert sure.geometry.scale_everywhere == 0.0
+
+
+def test_a_named_instrument_has_its_scale(make_scene):
+    """The better the scale is known, the less of it is expected; a stated uncertainty wins."""
+    sizes = []
+    for changes in (
+        {},
+        {"instrument": "print"},
+        {"instrument": "tracker"},
+        {"instrument": "print", "stated_scale_sigma": 1e-6},
+    ):
+        result = judged(make_scene, 61, cell=Cell(model="dh", **changes))
+        sizes.append(result.geometry.scale_everywhere)
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[2] < 3e-5 < sizes[1]
 
 
 def test_a_corner_of_the_workspace(make_scene):
@@ -167,6 +190,10 @@ def test_every_joint_that_moved_in_a_small_part_of_its_range_is_named(make_scene
         (4e-3, None, Why.NOISE_LARGE),
         (4e-3, 4e-3, None),
         (4e-3, 2e-4, Why.NOISE_ABOVE_SIGMA),
+        (4e-5, 1e-6, None),  # the robot's repeatability
+        (4e-5, 4e-5 / 900.0, Why.SIGMA_UNLIKELY),
+        (4e-5, 1e-4, None),
+        (4e-5, 5e-3, Why.SIGMA_UNLIKELY),
     ],
 )
 def test_the_noise_of_lengths_is_held_against_the_stated_or_a_usual_one(

@@ -126,10 +126,26 @@ def test_without_a_prior_a_parameter_has_no_standard_deviation_of_it(calibrated)
 def test_the_error_at_a_new_point_has_what_the_model_lacks(calibrated):
     """Elsewhere the variance of the prediction takes the place of that at the measured poses."""
     _, c = calibrated("points")
-    here, elsewhere = c.new_point
+    exact = with_part(c, "geometry", scale=None)
+    here, elsewhere = exact.new_point
     held_out = c.cross_validation.errors_without_outliers["m"].rms
     assert here == held_out
-    added = c.geometry.expected_elsewhere**2 - c.geometry.expected_measured**2
+    added = c.geometry.expected_elsewhere**2 - c.geometry.noise_measured**2
     assert elsewhere**2 == pytest.approx(held_out**2 + added)
-    alone = with_part(c, "geometry", cross_validation=None)
-    assert alone.new_point == (c.geometry.expected_measured, c.geometry.expected_elsewhere)
+    alone = with_part(exact, "geometry", cross_validation=None)
+    assert alone.new_point == (c.geometry.noise_measured, c.geometry.expected_elsewhere)
+
+
+def test_the_error_at_a_new_point_has_the_largest_scale_error(calibrated):
+    _, c = calibrated("points")
+    scale, by_scale = c.geometry.scale, c.geometry.by_scale
+    assert by_scale[0] == pytest.approx(c.geometry.scale_measured * scale.bound / scale.size)
+    points = c.predict(random_joint_values(c.nominal, 300, 3))
+    reach = np.sqrt(np.mean(np.sum(points**2, axis=1)))
+    assert by_scale[1] == pytest.approx(scale.bound * reach, rel=0.3)
+    without = with_part(c, "geometry", scale=None).new_point
+    assert c.new_point == pytest.approx(tuple(np.hypot(without, by_scale)))
+    rows = c.fit.measurements
+    certified = replace(c.fit.cell, scale_certified=True)
+    sure = calibrate(c.nominal, rows, cell=certified, validate=False)
+    assert sure.geometry.by_scale == (0.0, 0.0)

@@ -181,7 +181,11 @@ def test_the_file_has_both_cameras_in_plain_words(result, tmp_path):
     assert written["boards"][0]["square_m"] == result.optics.boards[""].square
     # The document names the keys of lengths and angles, and says that those of pixels are alike.
     found = {re.sub(r"\.px\b", ".m", path) for path, _ in leaves(written)}
-    assert found - documented("Keys") - WHOLE == {"nominal_cross_validation", "noise.pose_noise"}
+    assert found - documented("Keys") - WHOLE == {
+        "nominal_cross_validation",
+        "noise.pose_noise",
+        "scale",
+    }
 
 
 def test_a_file_of_before_cameras_is_read(default_result, tmp_path):

@@ -20,6 +20,9 @@ from calib.show.error_tables import measured_lengths
 from calib.show.lines import listed, mm, plural
 from calib.show.words import before_and_after, chain_name, rms_text, shown, with_unit
 
+#: A part whose share of an rms error is above this makes more than half of its square.
+_MOSTLY = 0.71
+
 #: Outliers, or their images, that are listed; the others are counted.
 _LISTED = 12
 
@@ -98,6 +101,12 @@ def facts(c: Calibration) -> dict[str, str]:
         result[EXPECTED] = (
             f"{mm(near)} mm rms near the measured poses, {mm(everywhere)} mm over the joint limits."
         )
+        scale = c.geometry.scale
+        if scale is not None and c.geometry.by_scale[1] > _MOSTLY * everywhere:
+            result[EXPECTED] += (
+                f" Most of it is a scale error of the instrument of up to {100.0 * scale.bound:.2f} % in the "
+                "arm's lengths: if the scale is known better, say so in the cell file (instrument)."
+            )
 
     if c.geometry.prior_std:
         sizes = []

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtri, gammaincinv
+from scipy.special import fdtri, gammaincinv, ndtri
 
 from calib.basics.arguments import check_callable, check_executor, check_type
 from calib.basics.arrays import Array, Integers, read_only
@@ -226,6 +226,9 @@ def bootstrap(
         stopped += not converged
         if progress is not None:
             progress(done, count)
+    # The scale error of the instrument is drawn too: all rows share it.
+    scale = np.random.default_rng([seed, 2]).normal(size=(count, 1))
+    x = x + scale * calibration.geometry.growth
     return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
 
 
@@ -326,10 +329,10 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
         CalibError: The level is not between 0 and 1.
     """
     parameter = calibration.parameter(name)
-    fitted = calibration.fit.geometry
+    fitted, part = calibration.fit.geometry, calibration.geometry
     non_geometric = calibration.fit.non_geometric
     if non_geometric is not None and name not in calibration.model.names:
-        fitted = non_geometric
+        fitted, part = non_geometric, calibration.part(non_geometric=True)
     _check_solver(fitted)
     estimate = fitted.estimate
     k = fitted.kinematics.model.index(name)
@@ -340,6 +343,9 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
         )
     x = float(estimate.x[k])
     low, high = profile(partial(_least_cost, fitted, k), x, parameter.std, level, estimate.freedom)
+    # The scale error of the instrument, of which the cost knows nothing, is independent of the noise.
+    by_scale = float(ndtri(0.5 + 0.5 * level) * part.growth[k])
+    low, high = x - float(np.hypot(x - low, by_scale)), x + float(np.hypot(high - x, by_scale))
     # Offsets from the registered start become values.
     return Profile(low + parameter.value - x, high + parameter.value - x, level)
 

@@ -38,9 +38,10 @@ from calib.verbs.compensate.pose_covariance import (
     unmodelled_base,
 )
 
-Source = Literal["model", "parameters", "poses", "tool", "base"]
+Source = Literal["model", "parameters", "poses", "tool", "base", "scale"]
 """Source of an expected error: errors that the model lacks; its parameters, at poses like the measured ones; what other
-poses of the program add; a tool that is not the measured target; the base, if its frame was estimated."""
+poses of the program add; a tool that is not the measured target; the base, if its frame was estimated; the scale of
+the instrument, which the lengths of the arm absorb."""
 
 NoiseSource = Literal["stated", "repeats", "unknown"]
 """Source of the instrument's noise: cell or table; repeated poses; or unknown, then it counts as error."""
@@ -56,6 +57,10 @@ _CHANCE = 0.05
 
 #: With fewer degrees of freedom, the scatter of repeats does not determine the noise.
 _FEWEST_REPEATS = 6.0
+
+#: A stated noise so many times that of the residuals is not believed, and the verdict says so. One that is too small
+#: is harmless: what exceeds it counts as error that the model lacks, as it does if no noise is stated.
+_CONTRADICTED = 5.0
 
 #: The largest value of h (1 - h), for a leverage h.
 _LARGEST_RATIO = 0.25
@@ -132,7 +137,7 @@ def expected_errors(pair: Pair, q: Array, moves: Array | None = None) -> Expecte
         measured = float(_mean_errors(tool.covariance, lacking)[:, 0].mean())
     return ExpectedErrors(
         errors=read_only(_mean_errors(arrived.covariance, lacking)),
-        contributions=_contributions(lacking[0], part.expected_measured**2, target, tool, arrived),
+        contributions=_contributions(lacking[0], part.noise_measured**2, target, tool, arrived),
         freedom=_freedom(result, arrived, float(lacking[0]), part.cross_validation),
         in_measured_frame=measured,
         noise=_instrument_noise(result)[0],
@@ -237,13 +242,14 @@ def _contributions(
     """Split the mean square of the positions' errors [m^2] into contributions of all sources, none below 0.
 
     They are what the model lacks, ``lacking``; the target near the measured poses, ``near``; and, each as far as it
-    exceeds the one before, the target at the program's poses, the tool there, and the tool in the program's frame.
+    exceeds the one before, the target at the program's poses, the tool there, and the tool in the program's frame; and,
+    besides these, the scale of the instrument.
     """
-    views = [float(view.mean_square[0]) for view in (target, tool, arrived)]
+    views = [float(view.mean_square[0]) - view.by_scale for view in (target, tool, arrived)]
     # A pose or tool that is known better than the one before it takes its share off the sources before.
     totals = np.minimum.accumulate([near, *views][::-1])[::-1]
-    squares = [lacking, *np.diff(totals, prepend=0.0).tolist()]
-    sources: tuple[Source, ...] = ("model", "parameters", "poses", "tool", "base")
+    squares = [lacking, *np.diff(totals, prepend=0.0).tolist(), arrived.by_scale]
+    sources: tuple[Source, ...] = ("model", "parameters", "poses", "tool", "base", "scale")
     return dict(zip(sources, squares, strict=True))
 
 
@@ -257,7 +263,7 @@ def _lacking(result: Calibration, part: FittedModel, predicted_angle: float) -> 
         return np.zeros(2)
     errors = part.cross_validation.errors_without_outliers
     _, sigma, freedom = _instrument_noise(result)
-    predicted = {"m": part.expected_measured**2, "rad": predicted_angle}
+    predicted = {"m": part.noise_measured**2, "rad": predicted_angle}
     channels = result.rows.channels.select(result.rows.estimation)
     lacking = []
     for unit in _POSE_UNITS:
@@ -300,8 +306,8 @@ def _instrument_noise(
 ) -> tuple[NoiseSource, dict[str, float], dict[str, float]]:
     """Return the source of the noise of lengths, and its standard deviations and degrees of freedom by unit, m and rad.
 
-    A standard deviation is of one scalar: as stated, with infinite degrees of freedom, else from repeated rows, else
-    NaN.
+    A standard deviation is of one scalar: as stated, with infinite degrees of freedom, unless it is far above the
+    residuals; else from repeated rows, else NaN.
     """
     sigma = dict.fromkeys(_POSE_UNITS, np.nan)
     freedom = dict.fromkeys(_POSE_UNITS, 0.0)
@@ -310,11 +316,14 @@ def _instrument_noise(
             freedom[unit] = result.noise.repeats.freedoms.get(unit, 0.0)
             if freedom[unit] >= _FEWEST_REPEATS:
                 sigma[unit] = result.noise.repeats.within[unit]
-    for unit in _POSE_UNITS:
-        if unit in result.noise.sigma_given:
-            sigma[unit] = result.noise.sigma_given[unit]
+    believed = []
+    for unit, stated in result.noise.sigma_given.items():
+        found = result.noise.sigma.get(unit, stated)
+        if unit in _POSE_UNITS and stated < _CONTRADICTED * found:
+            sigma[unit] = stated
             freedom[unit] = np.inf
-    source: NoiseSource = "stated" if "m" in result.noise.sigma_given else "repeats"
+            believed.append(unit)
+    source: NoiseSource = "stated" if "m" in believed else "repeats"
     if not np.isfinite(sigma["m"]):
         source = "unknown"
     return source, sigma, freedom

@@ -1,9 +1,10 @@
 """Covariance of a tool's predicted pose, in the measurement frame and in the base, by the parameters of a result.
 
-    C_pose(q)  =  J C J^T  +  B P B^T
+    C_pose(q)  =  J C J^T  +  J g g^T J^T  +  B P B^T
 
     J   derivative of the tool's pose by the parameters, C their covariance; parameters of a target count only if the
         tool is that target: any other tool is known in the tip
+    g   their change by the scale error of the instrument, rms
     B   derivative by a motion of the base, P covariance of what the model leaves out of the first joint's placement
 
 The last term counts in the base only, and only if the measurement frame was estimated: such a frame absorbs whatever
@@ -58,6 +59,8 @@ class PoseCovariance(NamedTuple):
     shared: Array
     #: Mean square of the positions' errors, as far as it comes from the priors and not from the noise [m^2].
     by_priors: float
+    #: Mean square of the positions' errors, as far as it comes from a scale error of the instrument [m^2].
+    by_scale: float
 
     @property
     def mean_square(self) -> Array:
@@ -88,16 +91,21 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
     # R R^T is the covariance, which may be singular.
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
+    # The scale error of the instrument is one more unknown.
+    growth = np.pad(part.growth, (0, 6))
+    if view.T_tip_tool is not None:
+        growth[:p][part.model.family(TARGET)] = 0.0
+    whole_root = np.column_stack([root, growth])
 
     derivative = _derivative(part, view)
     count = len(view.samples)
     covariances = []
-    gram = np.zeros((p + 6, p + 6))
+    gram = np.zeros((p + 7, p + 7))
     for first in range(0, count, _AT_A_TIME):
         block = view.samples.select(slice(first, first + _AT_A_TIME))
-        J = derivative(block) @ root
+        J = derivative(block) @ whole_root
         covariances.append(J @ J.swapaxes(1, 2))
-        lengths = J[:, :3].reshape(-1, p + 6)
+        lengths = J[:, :3].reshape(-1, p + 7)
         gram += lengths.T @ lengths / count
     shared = np.maximum(np.linalg.eigvalsh(gram), 0.0)
 
@@ -111,8 +119,8 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
     precision[range(p), range(p)] = np.where(variances > 0.0, 1.0 / variances, 0.0)
     if view.base is not None:
         precision[p:, p:] = np.linalg.pinv(view.base, hermitian=True)
-    by_priors = float(np.sum(gram * (root.T @ precision @ root)))
-    return PoseCovariance(np.concatenate(covariances), shared, by_priors)
+    by_priors = float(np.sum(gram[:-1, :-1] * (root.T @ precision @ root)))
+    return PoseCovariance(np.concatenate(covariances), shared, by_priors, float(gram[-1, -1]))
 
 
 def unknown_base_directions(result: Calibration) -> tuple[str, ...]:

@@ -56,6 +56,7 @@ _SOURCES: dict[Source, str] = {
     "poses": "the program's poses away from these",
     "tool": "the tool away from the measured target",
     "base": "the base in the measurement frame",
+    "scale": "the scale of the instrument, in the arm's lengths",
 }
 
 #: Advice that lowers the contribution of a source, unless the result allows more specific advice.
@@ -67,6 +68,8 @@ _REMEDIES: dict[Source, str] = {
     "tool": "measure a target at the tool's working point and give it as --tool target; or measure several targets, or "
     "poses, with known places in the tip (--fix-target).",
     "base": "measure in a frame of known points on the base (--frame known).",
+    "scale": "name the instrument in the cell file (instrument), or check a known length and state scale_certified = "
+    "true.",
 }
 
 #: The text of each code: {0} and {1} are its numbers in {unit}, or both as {miss}; {joint}, {row} are its subject.

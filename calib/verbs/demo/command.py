@@ -96,7 +96,7 @@ def _calibrate() -> tuple[Calibration, Calibration]:
     measurements = Measurements.read(
         paper_measurements(), joint_names=robot.joint_names, joint_types=robot.joint_types
     )
-    cell = Cell(target=read_only(PAPER_TARGET), model="paper")
+    cell = Cell(target=read_only(PAPER_TARGET), model="paper", instrument="tracker")
     result = calibrate(robot, measurements, cell=cell)
     by_paper = calibrate(robot, measurements, cell=cell, solver="paper", validate=False)
     return result, by_paper

@@ -55,7 +55,9 @@ def measured(
 
 
 def fitted(robot: Robot, table: Measurements, model: str, **cell) -> Calibration:
-    return calibrate(robot, table, cell=Cell(model=model, **cell), validate=False)
+    return calibrate(
+        robot, table, cell=Cell(model=model, scale_certified=True, **cell), validate=False
+    )
 
 
 @pytest.fixture(scope="module")

@@ -72,10 +72,10 @@ def with_mean(mean: float, freedom: float) -> ExpectedErrors:
     return ExpectedErrors(np.array([[mean, 0.0]]), {}, freedom, None, "stated", validated=True)
 
 
-def known_to(*shared: float, by_priors: float = 0.0) -> PoseCovariance:
+def known_to(*shared: float, by_priors: float = 0.0, by_scale: float = 0.0) -> PoseCovariance:
     """A pose known to these variances along x, each of an unknown of its own."""
     covariance = np.diag([sum(shared), 0.0, 0.0, 0.0, 0.0, 0.0])[None]
-    return PoseCovariance(covariance, np.array(shared), by_priors)
+    return PoseCovariance(covariance, np.array(shared), by_priors, by_scale)
 
 
 @pytest.mark.parametrize("shared", [(1.0,), (1.0, 0.7, 0.2), (1.0,) * 12])
@@ -109,12 +109,14 @@ def test_variances_are_known_as_well_as_what_tells_them():
 
 def test_contributions_are_the_mean_square_and_none_is_negative():
     rising = _contributions(1.0, 2.0, known_to(5.0), known_to(9.0), known_to(10.0))
-    assert list(rising.values()) == pytest.approx([1.0, 2.0, 3.0, 4.0, 1.0])
+    assert list(rising.values()) == pytest.approx([1.0, 2.0, 3.0, 4.0, 1.0, 0.0])
     assert tuple(rising) == get_args(Source)
     falling = _contributions(1.0, 2.0, known_to(5.0), known_to(3.0), known_to(10.0))
-    assert list(falling.values()) == pytest.approx([1.0, 2.0, 1.0, 0.0, 7.0])
+    assert list(falling.values()) == pytest.approx([1.0, 2.0, 1.0, 0.0, 7.0, 0.0])
+    scaled = _contributions(1.0, 2.0, known_to(5.0), known_to(9.0), known_to(13.0, by_scale=3.0))
+    assert list(scaled.values()) == pytest.approx([1.0, 2.0, 3.0, 4.0, 1.0, 3.0])
     known_better = _contributions(0.0, 4.0, known_to(3.0), known_to(2.0), known_to(2.0))
-    assert list(known_better.values()) == pytest.approx([0.0, 2.0, 0.0, 0.0, 0.0])
+    assert list(known_better.values()) == pytest.approx([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_held_out_errors_beyond_noise_and_prediction():
@@ -179,7 +181,7 @@ def estimated(ur3: Robot) -> Calibration:
     poses = off(ur3, model="dh").poses(q)
     points = poses[:, :3, 3] + poses[:, :3, :3] @ [0.05, 0.04, 0.03]
     table = Measurements(ur3.joint_names, q, points + 5e-5 * rng.normal(size=points.shape))
-    cell = Cell(estimate_frame=True, sigma={"m": 5e-5}, model="dh")
+    cell = Cell(estimate_frame=True, sigma={"m": 5e-5}, model="dh", scale_certified=True)
     return calibrate(ur3, table, cell=cell)
 
 
@@ -200,6 +202,36 @@ def test_the_frame_of_the_program_counts(estimated: Calibration):
     assert [squares(in_base)[name] for name in shared] == [
         squares(in_frame)[name] for name in shared
     ]
+
+
+def test_a_scale_that_nobody_knows_is_a_source_of_its_own(estimated: Calibration):
+    """Of poses far from the base it is the largest; where the scale is certified it is none."""
+    q = random_joint_values(estimated.nominal, 20, 8)
+    certain = expected_errors(pair_of(estimated, tool="", frame=""), q)
+    cell = replace(estimated.fit.cell, scale_certified=False)
+    unknown = calibrate(estimated.nominal, estimated.fit.measurements, cell=cell)
+    found = expected_errors(pair_of(unknown, tool="", frame=""), q)
+    assert squares(certain)["scale"] == 0.0
+    assert found.largest == "scale"
+    for source in ("model", "parameters", "poses"):
+        assert squares(found)[source] == pytest.approx(squares(certain)[source], rel=1e-6)
+    points = unknown.predict(q) - unknown.T_frame_base[:3, 3]
+    reach = np.sqrt(np.mean(np.sum(points**2, axis=1)))
+    expected = 1e3 * unknown.geometry.scale.size * reach
+    assert np.sqrt(squares(found)["scale"]) == pytest.approx(expected, rel=0.3)
+
+
+@pytest.mark.parametrize("factor", [100.0, 0.01])
+def test_a_stated_noise_that_the_residuals_contradict_is_not_believed(
+    estimated: Calibration, factor: float
+):
+    q = random_joint_values(estimated.nominal, 20, 8)
+    stated = with_part(estimated, "noise", sigma_given={"m": factor * 5e-5})
+    nothing = with_part(estimated, "noise", sigma_given={})
+    found = expected_errors(pair_of(stated, tool="", frame=""), q)
+    assert found.noise == ("unknown" if factor > 1.0 else "stated")
+    expected = squares(expected_errors(pair_of(nothing, tool="", frame=""), q))
+    assert squares(found) == pytest.approx(expected, rel=0.2)
 
 
 def test_noise_that_is_not_stated_counts_as_error(estimated: Calibration):

@@ -41,7 +41,15 @@ def in_a_frame(model: str = "dh", noise: float = 1e-4, **changes) -> Calibration
     rng = np.random.default_rng(5)
     points = robot.poses(q)[:, :3, 3] + robot.poses(q)[:, :3, :3] @ [0.05, 0.04, 0.03]
     points = points + noise * rng.normal(size=points.shape)
-    cell = Cell(**{"estimate_frame": True, "model": model, "priors": Priors("given"), **changes})
+    cell = Cell(
+        **{
+            "scale_certified": True,
+            "estimate_frame": True,
+            "model": model,
+            "priors": Priors("given"),
+            **changes,
+        }
+    )
     return calibrate(robot, Measurements(robot.joint_names, q, points), cell=cell, validate=False)
 
 
@@ -59,7 +67,7 @@ def std(found: Calibration, q: np.ndarray, view: dict) -> np.ndarray:
 
 @pytest.mark.parametrize("case", ["paper", "poses", "mixed", "prismatic", "two_joints"])
 def test_a_target_as_the_tool_is_known_as_well_as_the_target(case: str):
-    found = made(case)
+    found = with_part(made(case), "geometry", scale=None)
     q = joint_values(found)
     in_frame = std(found, q, {})[:, 0]
     group = found.setup.groups[0]
@@ -81,7 +89,7 @@ def test_without_positions_the_motion_of_the_base_is_left_out():
 
 @pytest.mark.slow
 def test_of_a_tool_it_is_the_scatter_of_robots_drawn_from_the_covariance():
-    found = made("paper")
+    found = with_part(made("paper"), "geometry", scale=None)
     q = random_joint_values(found.nominal, 3)
     of_arm = [k for k, name in enumerate(found.model.names) if not name.startswith("target")]
     rng = np.random.default_rng(0)
@@ -126,7 +134,7 @@ def test_what_the_priors_leave_unknown_is_told_from_noise():
 
 
 def test_a_motion_of_the_base_moves_the_tool_as_one_body():
-    found = with_part(made("paper"), "geometry", covariance=np.zeros((27, 27)))
+    found = with_part(made("paper"), "geometry", covariance=np.zeros((27, 27)), scale=None)
     q = joint_values(found, 2)
     motion = np.array([1e-4, -2e-4, 3e-4, 2e-5, 1e-5, -4e-5])
     view = View(found.samples(q), TOOL, True, np.outer(motion, motion))
