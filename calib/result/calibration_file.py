@@ -194,6 +194,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "expected_measured": "expected.measured_rms_m",
             "expected_everywhere": "expected.everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
+            "untold": "expected.untold_rms_m",
         },
         Setup: {"internals": "optics"},
         Parameter: {"internal": "optic"},

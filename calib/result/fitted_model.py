@@ -19,6 +19,7 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only
 from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
+from calib.diagnosis.untold import untold_error
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
 from calib.model.error_model import FRAME, TARGET, ErrorModel
@@ -100,6 +101,8 @@ class FittedModel(Value):
     expected_everywhere: float
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
+    #: Error over the joint limits that families of errors add of which the rows do not tell the sizes [m]
+    untold: float = 0.0
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None = None
 
@@ -153,10 +156,12 @@ class FittedModel(Value):
         q, loads = spread_poses(robot), None
         if any(term.factor and term.factor.loaded for term in kinematics.model.terms):
             loads = gravity_loads(robot, q, cell.payload, cell.gravity)
+        everywhere = Samples.at(q, loads)
         return replace(
             model,
             expected_measured=model._expected_error(rows.samples),
-            expected_everywhere=model._expected_error(Samples.at(q, loads)),
+            expected_everywhere=model._expected_error(everywhere),
+            untold=untold_error(fitted, everywhere),
         )
 
     @property
@@ -169,13 +174,23 @@ class FittedModel(Value):
         """Standard deviation of the predicted point over the joint limits, rms [m], with what the model lacks.
 
         Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
-        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is ``extrapolation`` times as large, if it
-        is positive.
+        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is larger (`added_variance`).
         """
         at_measured = self.expected_measured**2
         added = self.expected_everywhere**2 - at_measured
-        factor = self.extrapolation if added > 0.0 else 1.0
-        return float(np.sqrt(at_measured + added * factor))
+        return float(np.sqrt(at_measured + self.added_variance(added)))
+
+    def added_variance(self, by_covariance: float) -> float:
+        """Return what is added to the variance at the measured poses beyond them, with what the model lacks [m^2].
+
+        The variance v that the covariance adds is f v by rows that were extrapolated (``extrapolation``), and v + u^2
+        by the errors that the rows cannot tell (``untold``). Both estimate what is lacking, and the larger counts.
+
+        Args:
+            by_covariance: v [m^2]; if it is negative, f is 1.
+        """
+        factor = self.extrapolation if by_covariance > 0.0 else 1.0
+        return max(factor * by_covariance, by_covariance + self.untold**2)
 
     @property
     def new_point(self) -> tuple[float, float]:
