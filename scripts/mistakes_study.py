@@ -4,24 +4,29 @@
 
 A UR5 with typical errors is measured at 30 poses. Each mistake is made in a table of points, of poses, of points of two
 targets and of points from two stations, with a known measurement frame and with an unknown one. Printed is the first
-reason of each verdict, with ``+`` where it names the mistake.
+reason of each verdict, with ``+`` where it names the mistake. A second table has mistakes that come two at a time, and
+others, on several arms: see `more_outcome` for its words.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import tee
+from typing import Any
 
 import numpy as np
 from arms import load_arm
 from scipy.spatial.transform import Rotation
-from studies import add_noise, print_table, run_jobs, study_parser, unchanged, verdict_of
+from studies import add_noise, draw_seed, print_table, run_jobs, study_parser, unchanged, verdict_of
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import USE
+from calib.diagnosis.trials import misfit
+from calib.diagnosis.usual_mistakes import find_usual_mistake
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -197,6 +202,214 @@ def mistake_outcomes(name: str) -> list[Outcome | None]:
     return [outcome(name, kind, free) for free in (False, True) for kind in TABLES]
 
 
+# Two at a time, and those of a part of a table
+
+#: Arms, of which each table has one.
+ARMS = ("ur5", "panda", "iiwa", "irb120", "ur10")
+
+#: Rows of these tables.
+MORE_ROWS = 40
+
+#: A target off the last joint's axis, in the tip [m].
+TARGET = (0.06, -0.05, 0.08)
+
+#: Errors that differ by less are those of the same robot [m].
+SAME_ERROR = 1e-6
+
+#: What the file of a table says of its columns.
+_STATED = {"turning": "deg", "points": "mm"}
+
+
+@dataclass(frozen=True)
+class Spoilt:
+    """A table with one or two mistakes."""
+
+    table: Measurements
+    #: Code and values, of each mistake, that a reason must have
+    named: tuple[dict[str, Any], ...]
+
+
+def _zero(table: Measurements, joint: int, deg: float) -> tuple[Measurements, dict[str, Any]]:
+    """Add an angle [deg] to the readings of a joint; its mistake takes that away."""
+    shifted = table.joints + np.radians(deg) * np.eye(table.joints.shape[1])[joint]
+    add = float(np.radians(180.0 if abs(deg) == 180.0 else -deg))
+    values = {"code": "joint_zero", "joint": table.joint_names[joint], "add_rad": add}
+    return replace(table, joints=shifted), values
+
+
+def _sign(table: Measurements, joint: int) -> tuple[Measurements, dict[str, Any]]:
+    """Reverse the readings of a joint."""
+    values = {"code": "joints_turned", "joints": table.joint_names[joint]}
+    return replace(table, joints=scaled(joint, -1.0)(table.joints)), values
+
+
+def _factor(table: Measurements, joint: int, factor: float) -> tuple[Measurements, dict[str, Any]]:
+    """Multiply the readings of a joint."""
+    values = {"code": "joint_factor", "joint": table.joint_names[joint], "factor": 1.0 / factor}
+    return replace(table, joints=scaled(joint, factor)(table.joints)), values
+
+
+def _two_zeros(table: Measurements, i: int, j: int, rng: np.random.Generator) -> Spoilt:
+    """Two joints count from another zero."""
+    table, first = _zero(table, i, float(rng.choice([90.0, -90.0, 180.0, 45.0])))
+    table, second = _zero(table, j, float(rng.choice([90.0, -90.0, 180.0, -45.0])))
+    return Spoilt(table, (first, second))
+
+
+def _sign_and_zero(table: Measurements, i: int, _: int, rng: np.random.Generator) -> Spoilt:
+    """One joint counts the other way, from another zero."""
+    turned, sign = _sign(table, i)
+    deg = float(rng.choice([90.0, -90.0, 180.0]))
+    shifted, zero = _zero(turned, i, deg)  # -q + a: turned back it is q - a
+    zero["add_rad"] = float(np.radians(deg))
+    return Spoilt(shifted, (sign, zero))
+
+
+def _sign_zero_elsewhere(table: Measurements, i: int, j: int, rng: np.random.Generator) -> Spoilt:
+    """One joint counts the other way, another from another zero."""
+    table, sign = _sign(table, i)
+    table, zero = _zero(table, j, float(rng.choice([90.0, -90.0])))
+    return Spoilt(table, (sign, zero))
+
+
+def _percent(table: Measurements, i: int, _: int, rng: np.random.Generator) -> Spoilt:
+    """The readings of a joint are too large or small by some percent."""
+    table, factor = _factor(table, i, float(rng.choice([0.8, 0.9, 1.1, 1.25])))
+    return Spoilt(table, (factor,))
+
+
+def _gear(table: Measurements, i: int, _: int, rng: np.random.Generator) -> Spoilt:
+    """A column has the angles of the motor."""
+    table, factor = _factor(table, i, float(rng.choice([50.0, -101.0, 2.0, -80.25])))
+    return Spoilt(table, (factor,))
+
+
+def _column_in_rad(table: Measurements, i: int, _: int, __: np.random.Generator) -> Spoilt:
+    """One column is in rad in a table of degrees."""
+    name = table.joint_names[i]
+    changed = scaled(i, np.radians(1.0))(table.joints)
+    values = {"code": "wrong_unit", "what": f"values of '{name}'", "unit": "rad", "header": "deg"}
+    return Spoilt(replace(table, joints=changed), (values,))
+
+
+def _missing_point(table: Measurements, _: int, __: int, rng: np.random.Generator) -> Spoilt:
+    """A measurement is missing, and those after it moved up; another pose of the last row fills the end."""
+    k = int(rng.integers(4, len(table) - 6))
+    order = np.delete(np.arange(len(table)), k)
+    kept = table.select(np.arange(len(table)) < len(table) - 1)
+    rotations = None if table.rotations is None else table.rotations[order]
+    moved = replace(kept, points=table.points[order], rotations=rotations)
+    return Spoilt(moved, ({"code": "rows_moved", "row": table.rows[k], "up": True},))
+
+
+def _centimetres(table: Measurements, _: int, __: int, ___: np.random.Generator) -> Spoilt:
+    """Points are in cm, and their header says mm."""
+    values = {"code": "wrong_unit", "what": "points", "unit": "cm", "header": "mm"}
+    return Spoilt(replace(table, points=0.1 * table.points), (values,))
+
+
+def _centimetres_and_sign(table: Measurements, i: int, _: int, rng: np.random.Generator) -> Spoilt:
+    """Points are in cm, and a joint counts the other way."""
+    table, sign = _sign(table, i)
+    spoilt = _centimetres(table, i, i, rng)
+    return Spoilt(spoilt.table, (*spoilt.named, sign))
+
+
+def _last_turned(table: Measurements, _: int, __: int, rng: np.random.Generator) -> Spoilt:
+    """The last joint is turned by 45 deg, and the target is given."""
+    last = len(table.joint_names) - 1
+    table, zero = _zero(table, last, float(rng.choice([45.0, -45.0, 135.0])))
+    return Spoilt(table, (zero,))
+
+
+MORE_MISTAKES: Mapping[str, Callable[[Measurements, int, int, np.random.Generator], Spoilt]] = {
+    "two zeros": _two_zeros,
+    "sign and zero of a joint": _sign_and_zero,
+    "sign of one, zero of another": _sign_zero_elsewhere,
+    "a factor, by percent": _percent,
+    "a gear's factor": _gear,
+    "one column in rad": _column_in_rad,
+    "a point missing": _missing_point,
+    "points in cm": _centimetres,
+    "points in cm, a sign": _centimetres_and_sign,
+    "last joint turned, target given": _last_turned,
+}
+
+
+def spoilt_table(
+    name: str | None, kind: str, seed: int, *, free: bool
+) -> tuple[Robot, Cell, Spoilt]:
+    """Measure an arm with typical errors, and make a mistake of `MORE_MISTAKES`; None: no mistake."""
+    rng = np.random.default_rng([seed, *map(ord, kind), free])
+    robot = load_arm(ARMS[seed % len(ARMS)])
+    cell = Cell(estimate_frame=free, target=read_only(np.array(TARGET)))
+    truth = draw_truth(robot, "dh", {}, draw_seed(rng), cell=cell)
+    q = random_joint_values(robot, MORE_ROWS, draw_seed(rng))
+    poses = truth.T_frame_base[0] @ truth.tip_poses(q) @ truth.T_tip_target[0]
+    table = Measurements(
+        joint_names=robot.joint_names,
+        joints=q,
+        kinds=(kind,) * MORE_ROWS,
+        points=add_noise(poses[:, :3, 3], NOISE, rng),
+        rotations=poses[:, :3, :3] if kind == "pose" else None,
+        units={
+            **dict.fromkeys(robot.joint_names, _STATED["turning"]),
+            **dict.fromkeys("xyz", _STATED["points"]),
+        },
+    )
+    if name is None:
+        return robot, cell, Spoilt(table, ())
+    # The first joint's zero is the frame's too, and the last one's the target's: other joints are spoilt.
+    i, j = sorted(rng.choice(np.arange(1, len(robot.joint_names) - 1), 2, replace=False).tolist())
+    if name != "last joint turned, target given":
+        cell = replace(cell, target=None)
+    return robot, cell, MORE_MISTAKES[name](table, i, j, rng)
+
+
+def is_named(reason: Mapping[str, Any], named: Sequence[Mapping[str, Any]]) -> bool:
+    """Return True if a reason has the codes and values of the mistakes that were made."""
+    told = reason.get("both", [reason])
+    return len(told) == len(named) and all(
+        any(_agrees(one, expected) for one in told) for expected in named
+    )
+
+
+def _agrees(told: Mapping[str, Any], expected: Mapping[str, Any]) -> bool:
+    """Return True if a mistake has the expected code and values; a factor may differ by 1 %."""
+    for key, value in expected.items():
+        if key == "factor":
+            if abs(told.get(key, 0.0) / value - 1.0) > 0.01:
+                return False
+        elif isinstance(value, float):
+            if abs(told.get(key, np.inf) - value) > 1e-9:
+                return False
+        elif told.get(key) != value:
+            return False
+    return True
+
+
+def more_outcome(name: str | None, kind: str, seed: int, free: bool) -> str:
+    """Return whether the mistake of a table is named.
+
+    Returns:
+        ``"first"``; ``"other"``, as another explanation; ``"same"``, if what is named leaves the same errors as the
+        table without its mistake, so that no rows can tell both apart; ``"wrong"``; or ``"none"``.
+    """
+    robot, cell, spoilt = spoilt_table(name, kind, seed, free=free)
+    reason = find_usual_mistake(robot, cell, spoilt.table)
+    if reason is None:
+        return "none"
+    first = {"code": reason.code, **reason.values}
+    if is_named(first, spoilt.named):
+        return "first"
+    if any(is_named(other, spoilt.named) for other in first.get("others", ())):
+        return "other"
+    _, _, right = spoilt_table(None, kind, seed, free=free)
+    rows, setup = rows_and_setup(robot, right.table, cell)
+    error, _ = misfit(robot, setup, rows)
+    return "same" if abs(reason.values["error_m"] - error) < SAME_ERROR else "wrong"
+
+
 def cell_text(result: Outcome | None) -> str:
     """Return the text of a cell of the table."""
     if result is None:
@@ -216,7 +429,18 @@ def main() -> None:
     outcomes = [result for results in counted for result in results if result is not None]
     named = sum(result.named for result in outcomes)
     used = sum(result.use == USE for result in outcomes)
-    print(f"\nnamed by their cause: {named} of {len(outcomes)}; '{USE}': {used}")
+    print(f"\nnamed by their cause: {named} of {len(outcomes)}; '{USE}': {used}\n")
+
+    # Mistakes that come two at a time, on arms and set-ups that the seed draws; the last row has none.
+    cases = [(kind, free) for kind in ("point", "pose") for free in (False, True)]
+    printed_rows = []
+    for number, name in enumerate((*MORE_MISTAKES, None)):
+        cells = [
+            more_outcome(name, kind, 100 * number + k, free) for k, (kind, free) in enumerate(cases)
+        ]
+        printed_rows.append([name or "no mistake", *cells])
+    titles = ["mistake", *(f"{kind}{', free' if free else ''}" for kind, free in cases)]
+    print_table(titles, printed_rows, [31] + len(cases) * [12])
 
 
 if __name__ == "__main__":

@@ -61,6 +61,7 @@ def load_with_data(
     from calib.basics.tables import Table
     from calib.data.columns import column_names
     from calib.data.measurements import Measurements
+    from calib.data.whole_turns import brought_back
     from calib.robot.dh_file import is_other_table
 
     options = table_options or TableOptions()
@@ -80,7 +81,7 @@ def load_with_data(
     measurements = Measurements.read(
         table, arm.joint_names, arm.joint_types, columns, cell.kind, points, points_unit
     )
-    return arm, measurements
+    return arm, brought_back(arm, measurements)
 
 
 def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:

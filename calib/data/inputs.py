@@ -21,6 +21,7 @@ from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.columns import column_names
 from calib.data.measurements import Measurements
+from calib.data.whole_turns import brought_back
 from calib.errors import CalibError, ModelError, choices
 from calib.robot.dh_file import is_other_table
 from calib.robot.robot import Robot
@@ -109,6 +110,8 @@ def inputs_of(
 ) -> tuple[Robot, Measurements, Cell]:
     """Return robot, measurements and cell that belong together: as given, or read from their files.
 
+    Readings that are whole turns outside of the limits are brought back (`calib.data.whole_turns`).
+
     Args:
         robot: As a user gave it.
         table: Measurements, or the path of their table, whose joint columns are those of the robot's chain.
@@ -123,11 +126,12 @@ def inputs_of(
     _check_robot(robot, "robot")
     check_type("measurements", table, (Measurements, str, Path), TABLE)
     if isinstance(table, Measurements):
-        return robot_of(robot, cell, measured=table.joint_names, read=read), table, cell
+        arm = robot_of(robot, cell, measured=table.joint_names, read=read)
+        return arm, brought_back(arm, table), cell
     read_table = Table.read(table)
     arm = robot_of(robot, cell, measured=column_names(read_table), read=read)
     measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=cell.kind)
-    return arm, measurements, cell
+    return arm, brought_back(arm, measurements), cell
 
 
 def _check_robot(robot: object, argument: str) -> None:

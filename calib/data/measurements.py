@@ -118,6 +118,11 @@ class Measurements(Value):
     unmeasured: tuple[int, ...] = ()
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
+    #: Names of the joints whose readings were brought back into the limits by `calib.data.whole_turns.brought_back`.
+    turned: tuple[str, ...] = ()
+    #: Unit in which the file gave joint values and points, by the column's name: ``{"joint_1": "deg", "x": "mm"}``;
+    #: empty without a file.
+    units: Mapping[str, str] = field(default_factory=dict)
     #: Convention in which the table gave the orientations, one of `calib.data.forms.orientations.CONVENTIONS`; empty
     #: if it gave none.
     orientation: str = ""
@@ -139,7 +144,7 @@ class Measurements(Value):
         check_argument_types(self)
         fill = partial(object.__setattr__, self)
         count = len(np.asarray(self.points))
-        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies"):
+        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies", "turned"):
             fill(name, tuple(getattr(self, name)))
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, (_, word) in WORD_COLUMNS.items():
@@ -154,6 +159,7 @@ class Measurements(Value):
         readings = checked_readings(labels, given, self.pair_rows)
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
+        fill("units", ReadOnlyMapping(self.units))
 
         is_oriented = self.where(lambda kind: kind.orientation)
         for name, tail, rows in (

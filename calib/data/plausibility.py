@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import date, timedelta
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,15 @@ _HALF_TURN_RAD = np.pi + 0.01
 
 #: A quaternion written with four digits has length one to half of this.
 _LENGTH_TOLERANCE = 1e-3
+
+
+#: Days from the origin of Excel's dates to 2000-01-01 and 2050-01-01: what Excel makes of 1.5 or 1/5 is a day of a
+#: year of today.
+_EXCEL_DAYS = (36_526, 54_789)
+_EXCEL_ORIGIN = date(1899, 12, 30)
+
+#: A number is taken for a date only if it is this many times the largest of the others in its column.
+_FAR_LARGER = 10.0
 
 
 class Fault(NamedTuple):
@@ -100,6 +110,9 @@ def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> N
     """
     for name, block in numbers.items():
         columns = layout.blocks[name]
+        if name in ("joints", "points"):
+            for k, column in enumerate(columns):
+                _check_no_dates(table, layout, column, block[:, k])
         if name == "joints":  # each by its own column, anything else by all columns of a row
             for k, column in enumerate(columns):
                 _check_block(table, layout, name, [column], block[:, [k]])
@@ -119,6 +132,25 @@ def check_units(table: Table, layout: Layout, numbers: Mapping[str, Array]) -> N
                 )
         else:
             _check_block(table, layout, name, columns, block)
+
+
+def _check_no_dates(table: Table, layout: Layout, column: Column, values: Array) -> None:
+    """Raise MeasurementError if Excel has made dates of numbers of a column, (N,) as written: days since 1900.
+
+    They are whole numbers of these years, and far larger than all others of the column.
+    """
+    first, last = _EXCEL_DAYS
+    is_date = (values >= first) & (values <= last) & (values == np.round(values))
+    others = np.abs(values[~is_date & np.isfinite(values)])
+    if not np.any(is_date) or not len(others) or first < _FAR_LARGER * np.max(others):
+        return
+    row = int(np.flatnonzero(is_date)[0])
+    day = _EXCEL_ORIGIN + timedelta(days=int(values[row]))
+    what = (
+        f"{values[row]:.0f} is how Excel stores the date {day}. It was made of an entry such as "
+        f"{day.day}.{day.month} or {day.month}.{day.day}: format the column as a number, and write that number."
+    )
+    table.fail(row, column, what, layout.words.get("row"))
 
 
 def _check_block(

@@ -147,7 +147,7 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     if name_columns:
         between = " " if separator == " " else PARTS
         names = tuple(between.join(row[i] for i in name_columns).rstrip(":") for row in cells)
-    return Points(names, metres, table.lines, source, sha256)
+    return Points(names, metres, table.lines, source, sha256, length_unit.symbol)
 
 
 def _without_labels(line: str) -> str:

@@ -14,7 +14,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
-from calib.data.columns import SETS, STATUS, TORQUE, WORD_COLUMNS
+from calib.data.columns import POINT, SETS, STATUS, TORQUE, WORD_COLUMNS
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
@@ -29,6 +29,12 @@ Words = NDArray[np.str_]
 
 #: A whole number in a cell.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
+
+#: A date as Excel writes it into a CSV file: ``5-Jan``, ``May-01``, ``1. Mai``, ``2026-05-01``, ``1.5.2026``.
+_DATE = re.compile(
+    r"\d{1,2}[-. ]+[^\W\d_]{3,9}\.?(?:[-. ]+\d{2,4})?|[^\W\d_]{3,9}[-. ]+\d{1,4}"
+    r"|\d{1,4}([-/.])\d{1,2}\1\d{1,4}(?: \d{1,2}:\d\d(?::\d\d)?)?|\d{1,2}/\d{1,2}"
+)
 
 #: Begins the status of a row of a table of commands that has none.
 _NO_COMMAND = "no command: "
@@ -115,6 +121,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         "source": " + ".join(file.source for file in files),
         "sha256": " + ".join(file.sha256 for file in files),
         **_arrays(layout, si, int(measured.sum())),
+        "units": _units(layout, elsewhere),
         **words_of_rows,
         "ignored": layout.ignored,
         "kinds": kinds[measured].tolist(),
@@ -200,8 +207,12 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
     text = table.cells[row][column.index][:_QUOTED]
     if not text:
         what = "the cell is empty. Fill in the number, or remove the row."
-    elif text.startswith("date "):
-        what = f"the cell is the {text}. Write the number; Excel turns entries such as 1.5 or 1/5 into dates."
+    elif text.startswith("date ") or _DATE.fullmatch(text):
+        date = text.removeprefix("date ")
+        what = (
+            f"the cell is the date '{date}'. Write the number; Excel turns entries such as 1.5 or "
+            "1/5 into dates."
+        )
     elif "," in text:
         what = (
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
@@ -251,6 +262,15 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
         for i in np.flatnonzero(measured).tolist():
             if sets[i] == word:
                 table.fail(i, column, what, layout.words.get("row"))
+
+
+def _units(layout: Layout, elsewhere: Points | None) -> dict[str, str]:
+    """Return the symbols of the units of joint values and of points, in the table or a list, by the column's name."""
+    columns = (*layout.blocks["joints"], *layout.blocks.get("points", ()))
+    units = {column.name: column.unit.symbol for column in columns if column.unit}
+    if elsewhere is not None:
+        units |= dict.fromkeys(POINT, elsewhere.unit)
+    return units
 
 
 def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:

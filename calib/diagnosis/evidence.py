@@ -231,6 +231,17 @@ class Evidence:
         return float(np.sqrt(max(remaining, 0.0) / max(before - noise, _TINY)))
 
     @property
+    def free_of_noise(self) -> tuple[float, float]:
+        """Rms errors on held-out rows before and after in the first unit, with the noise of all scalars subtracted.
+
+        Their ratio is ``remains_held_out``.
+        """
+        square = self._mean_square(self.nominal)
+        share = max(square - self._noise_square, 0.0) / max(square, _TINY)
+        before = self.before.leading.rms * float(np.sqrt(share))
+        return before, self.remains_held_out * before
+
+    @property
     def remains_everywhere(self) -> float:
         """Share of the nominal robot's error over the joint limits that is expected to remain, 0 to 1."""
         return self.expected / max(self.expected_of_nominal, self.expected, _TINY)

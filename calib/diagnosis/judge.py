@@ -15,7 +15,8 @@ from calib.numerics.errors import Errors
 #: Units with rules of their own.
 _LENGTH, _ANGLE = RESIDUAL_UNITS["m"], RESIDUAL_UNITS["rad"]
 
-#: If errors of validation rows are more than so many times those of held-out rows, they were measured differently.
+#: If errors of validation rows are more than so many times those of held-out rows, they were measured differently; and
+#: if they are more than so many times those of the nominal robot, they say nothing about this calibration.
 _ANOTHER_MEASUREMENT = 10.0
 
 #: A larger relative error means that a different lens or board was used: lenses are off by 1 to 3 %, prints by 0.3 to
@@ -127,6 +128,9 @@ def _against(evidence: Evidence) -> list[Reason]:
     fails = validation.exist and not validation.fall
     no_better = Reason.of(Why.VALIDATION_NO_BETTER, **validation.values)
     wrong_input = _doubts(evidence, Role.WRONG_INPUT)
+    if _is_another_measurement(evidence, evidence.before):
+        wrong_input.append(_validation_unlike(evidence))
+        fails = False
     return [*wrong_input, *first, *_applicable((fails, no_better))]
 
 
@@ -153,9 +157,8 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
         ),
     )
 
-    fresh, held_out = validation.after, after
-    unlike = fresh.leading.rms > _ANOTHER_MEASUREMENT * held_out.leading.rms > 0.0
-    different = Reason.of(Why.VALIDATION_UNLIKE, rows=fresh.leading.n, before=fresh, after=held_out)
+    unlike = _is_another_measurement(evidence, after)
+    unlike = unlike and not _is_another_measurement(evidence, before)
     many = evidence.many_flagged and not evidence.accidents
     stated = any(reason.why is Why.MANY_OUTLIERS for reason in against)
     about_rows = _applicable(
@@ -163,12 +166,29 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
             evidence.largest > _TOO_FAR,
             Reason.of(Why.PARAMETER_FAR, largest=evidence.largest),
         ),
-        (validation.exist and unlike, different),
+        (unlike, _validation_unlike(evidence)),
         (many and not stated, _many_outliers(evidence)),
     )
 
     given, others = _doubts(evidence, Role.GIVEN), _doubts(evidence, Role.CARE)
     return [*given, *about_gain, *others, *about_rows]
+
+
+def _is_another_measurement(evidence: Evidence, held_out: Errors) -> bool:
+    """Return whether errors on validation rows are far beyond some on held-out rows, in any unit."""
+    fresh = evidence.validation.after
+    return any(
+        fresh[unit].rms > _ANOTHER_MEASUREMENT * held_out[unit].rms > 0.0
+        for unit in fresh.units
+        if unit in held_out.units
+    )
+
+
+def _validation_unlike(evidence: Evidence) -> Reason:
+    """Make the reason that errors on validation rows are unlike those of held-out rows."""
+    fresh = evidence.validation.after
+    rows = fresh.leading.n
+    return Reason.of(Why.VALIDATION_UNLIKE, rows=rows, before=fresh, after=evidence.after)
 
 
 def _doubts(evidence: Evidence, role: Role) -> list[Reason]:
@@ -234,7 +254,14 @@ def _better(why: Why, evidence: Evidence) -> Reason:
 
     Name and errors of the non-geometric model are added if these are far smaller. All errors are of held-out rows.
     """
-    values: dict[str, Any] = {**_both(evidence), "remains": evidence.remains_held_out}
+    unit = evidence.before.leading.unit
+    free_before, free_after = evidence.free_of_noise
+    values: dict[str, Any] = {
+        **_both(evidence),
+        "remains": evidence.remains_held_out,
+        f"free_before_{unit}": free_before,
+        f"free_after_{unit}": free_after,
+    }
     if _has_better(evidence) and evidence.non_geometric is not None:
         model, less = evidence.non_geometric
         values |= {"model": model, "less": less}

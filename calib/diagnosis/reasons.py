@@ -70,12 +70,14 @@ class Why(str, Enum):
     OWN_FRAME = "own_frame", Role.WRONG_INPUT
     JOINTS_TURNED = "joints_turned", Role.WRONG_INPUT
     JOINT_ZERO = "joint_zero", Role.WRONG_INPUT
+    JOINT_FACTOR = "joint_factor", Role.WRONG_INPUT
     JOINT_CONSTANT = "joint_constant", Role.WRONG_INPUT
     READINGS_COUPLED = "readings_coupled", Role.WRONG_INPUT
     READINGS_NOT_COUPLED = "readings_not_coupled", Role.WRONG_INPUT
     COLUMNS_SWAPPED = "columns_swapped", Role.WRONG_INPUT
     COLUMNS_REVERSED = "columns_reversed", Role.WRONG_INPUT
     ROWS_SHIFTED = "rows_shifted", Role.WRONG_INPUT
+    ROWS_MOVED = "rows_moved", Role.WRONG_INPUT
     SIGN_TURNED = "sign_turned", Role.WRONG_INPUT
     POINTS_MIRRORED = "points_mirrored", Role.WRONG_INPUT
     POSES_INVERSE = "poses_inverse", Role.WRONG_INPUT
@@ -83,6 +85,7 @@ class Why(str, Enum):
     ORIENTATIONS_INVERSE = "orientations_inverse", Role.WRONG_INPUT
     ORIENTATIONS_JOINT_TURNED = "orientations_joint_turned", Role.WRONG_INPUT
     ORIENTATIONS_JOINT_ZERO = "orientations_joint_zero", Role.WRONG_INPUT
+    TWO_MISTAKES = "two_mistakes", Role.WRONG_INPUT
     CAMERA_ON_OTHER_LINK = "camera_on_other_link", Role.WRONG_INPUT
 
     # A frame was sought and not found
@@ -156,6 +159,7 @@ class Why(str, Enum):
     LARGER_NO_CLOSER = "larger_no_closer", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
+    READINGS_TURNED = "readings_turned", Role.INFORMATION
     SCALE_HIDDEN = "scale_hidden", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
 

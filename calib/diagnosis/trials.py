@@ -7,7 +7,7 @@ the mistake and the values of its reason.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
+from calib.basics.units import UNITS
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
@@ -29,14 +30,20 @@ from calib.robot.robot import Robot
 #: Other values of some columns, the code of the mistake, and the values of its reason.
 Correction: TypeAlias = tuple[Array, Why, dict[str, Any]]
 
-#: Factors for angles that are in one unit although their header says another.
-_ANGLES = {("rad", "deg"): np.degrees(1.0), ("deg", "rad"): np.radians(1.0)}
+#: Factors between units of angles, which undo a wrong unit.
+_ANGLES = (float(np.degrees(1.0)), float(np.radians(1.0)))
 
-#: Factors for lengths that are in one unit although their header says another.
-_LENGTHS = {("in", "mm"): 25.4, ("mm", "in"): 1.0 / 25.4, ("m", "mm"): 1e3, ("mm", "m"): 1e-3}
+#: Factors of a joint that have an explanation of their own: its sign, and a unit.
+SIMPLE_FACTORS = (1.0, *_ANGLES)
 
-#: Offsets of joint zeros between conventions [deg].
-_TURNS_DEG = (90.0, -90.0, 180.0)
+#: Factors between units of lengths (m, cm, mm and inches), which undo a wrong unit.
+_LENGTHS = (1e3, 1e-3, 10.0, 0.1, 100.0, 0.01, 25.4, 1.0 / 25.4, 2.54, 1.0 / 2.54)
+
+#: Relative difference of factors that are one: units are exact.
+_SAME_FACTOR = 1e-9
+
+#: Offsets of joint zeros between conventions [deg]: quarter turns, and halves of them, as of flanges.
+_TURNS_DEG = (90.0, -90.0, 180.0, 45.0, -45.0, 135.0, -135.0)
 
 #: Factors by which the reading of a joint counts that of the one before it: it is shown against the horizontal.
 _COUPLINGS = (1.0, -1.0)
@@ -111,20 +118,44 @@ def poses_of_images(
 # Corrections of columns
 
 
-def correct_joints(robot: Robot, q: Array) -> Iterator[Correction]:
-    """Shift zeros of joints, swap their columns, couple their readings, and scale them from another unit.
+def correct_columns(
+    robot: Robot, q: Array, units: Mapping[str, str]
+) -> Iterator[tuple[int, Correction]]:
+    """Shift the zero of each joint in turn, reverse its sign, and scale it from another unit.
+
+    Args:
+        robot: The robot, with its m measured joints.
+        q: Readings of the joints in the rows, shape (N, m) [rad] or [m].
+        units: Symbol of the unit of each column as it was read, by name; a column may be missing.
+
+    Yields:
+        The number of the joint, from 0, and a correction, see `correct_joints`.
+    """
+    for i, (name, joint) in enumerate(zip(robot.joint_names, robot.inputs, strict=True)):
+        column = np.arange(q.shape[1]) == i
+        turns = joint.type != "prismatic"
+        yield i, (np.where(column, -q, q), Why.JOINTS_TURNED, {"joints": name})
+        if turns:
+            for shift in shift_zeros(name, i, q):
+                yield i, shift
+        for factor in _ANGLES if turns else _LENGTHS:
+            values = {"what": f"values of '{name}'", **units_of(factor, units.get(name))}
+            yield i, (np.where(column, factor * q, q), Why.WRONG_UNIT, values)
+
+
+def correct_joints(robot: Robot, q: Array, units: Mapping[str, str]) -> Iterator[Correction]:
+    """Swap columns of joints, couple their readings, and scale all of them from another unit.
 
     Args:
         robot: The robot, with its m measured joints and the coupling of their readings.
         q: Readings of the joints in the rows, shape (N, m) [rad] or [m].
+        units: Symbol of the unit of each column as it was read, by name; a column may be missing.
 
     Yields:
         Readings, shape (N, m), in which one mistake is undone; the mistake's code; and the values of its reason.
     """
     names, count = robot.joint_names, len(robot.inputs)
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
-    for i in np.flatnonzero(turns).tolist():
-        yield from shift_zeros(names[i], i, q)
     for i, j in itertools.combinations(range(count), 2):
         order = list(range(count))
         order[i], order[j] = j, i
@@ -146,13 +177,38 @@ def correct_joints(robot: Robot, q: Array) -> Iterator[Correction]:
             else:
                 yield readings, Why.READINGS_NOT_COUPLED, values
 
-    for (unit, header), factor in _ANGLES.items():
-        units = {"what": "joints", "unit": unit, "header": header}
-        yield np.where(turns, factor, 1.0) * q, Why.WRONG_UNIT, units
+    stated_units = {units.get(name) for name, turn in zip(names, turns, strict=True) if turn}
+    unit = stated_units.pop() if len(stated_units) == 1 else None
+    for factor in _ANGLES:
+        values = {"what": "joint values", **units_of(factor, unit)}
+        yield np.where(turns, factor, 1.0) * q, Why.WRONG_UNIT, values
+
+
+def units_of(factor: float, stated: str | None) -> dict[str, Any]:
+    """Return the values of a wrong unit: the factor that undoes it, and both units if it is that between two units.
+
+    Args:
+        factor: Factor on values in SI units.
+        stated: Symbol of the unit that they were read in; None if it is not known.
+
+    Returns:
+        ``"factor"``; ``"unit"``, the true one; and ``"header"``, the stated one. The latter two are missing if no unit
+        of the same quantity is so many times the stated one: then the values were converted twice, or not at all,
+        before they were written.
+    """
+    values: dict[str, Any] = {"factor": factor}
+    if stated is None:
+        return values
+    read = UNITS[stated]
+    for unit in UNITS.values():
+        is_true = np.isclose(unit.to_si, factor * read.to_si, rtol=_SAME_FACTOR, atol=0.0)
+        if unit.quantity == read.quantity and is_true:
+            values |= {"unit": unit.symbol, "header": stated}
+    return values
 
 
 def shift_zeros(name: str, joint: int, q: Array) -> Iterator[Correction]:
-    """Shift the zero of a turning joint by a quarter turn either way, and by half a turn.
+    """Shift the zero of a turning joint by a multiple of 45 deg.
 
     Args:
         name: The joint's name.
@@ -168,11 +224,29 @@ def shift_zeros(name: str, joint: int, q: Array) -> Iterator[Correction]:
         yield q + offsets, Why.JOINT_ZERO, {"add_rad": float(turn), "joint": name}
 
 
-def correct_points(points: Array, *, turns: bool) -> Iterator[Correction]:
+def scale_column(name: str, joint: int, q: Array, factors: Array) -> Iterator[Correction]:
+    """Scale the readings of one joint by factors: as by another gear ratio, or by percents.
+
+    Args:
+        name: The joint's name.
+        joint: Its number, from 0.
+        q: Joint values of the rows, shape (N, m) [rad] or [m].
+        factors: Factors on this joint's values, shape (F,).
+
+    Yields:
+        For each factor the joint values, shape (N, m); the code; and the values of its reason.
+    """
+    for factor in factors.tolist():
+        scaled = q * np.where(np.arange(q.shape[1]) == joint, factor, 1.0)
+        yield scaled, Why.JOINT_FACTOR, {"joint": name, "factor": factor}
+
+
+def correct_points(points: Array, units: Mapping[str, str], *, turns: bool) -> Iterator[Correction]:
     """Mirror points, and scale them from another unit.
 
     Args:
         points: Measured positions, shape (N, 3) [m].
+        units: Symbol of the unit of ``x``, ``y`` and ``z`` as they were read; any may be missing.
         turns: Whether their frame may turn freely: then every swap of two columns is a mirror, and so is every sign.
 
     Yields:
@@ -188,12 +262,13 @@ def correct_points(points: Array, *, turns: bool) -> Iterator[Correction]:
             signs = np.where(of_axes[axis], -1.0, 1.0)
             yield points * signs, Why.SIGN_TURNED, {"column": axis}
 
-    for (unit, header), factor in _LENGTHS.items():
-        units = {"unit": unit, "header": header}
-        yield factor * points, Why.WRONG_UNIT, {"what": "points", **units}
+    for factor in _LENGTHS:
+        values = units_of(factor, units.get("x"))
+        yield factor * points, Why.WRONG_UNIT, {"what": "points", **values}
         for axis, of_axis in of_axes.items():
             scaled = points * np.where(of_axis, factor, 1.0)
-            yield scaled, Why.WRONG_UNIT, {"what": f"values of '{axis}'", **units}
+            values = units_of(factor, units.get(axis))
+            yield scaled, Why.WRONG_UNIT, {"what": f"values of '{axis}'", **values}
 
 
 def correct_orientations(poses: Array) -> Iterator[Correction]:

@@ -7,24 +7,30 @@ counts the other way is also looked for in images that fit: frames and zeros may
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 import calib.data.kinds as registry
+from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
 from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.screening import screened_errors
 from calib.diagnosis.trials import (
+    SIMPLE_FACTORS,
     TOLERANCE,
+    Correction,
+    correct_columns,
     correct_joints,
     correct_orientations,
     correct_points,
     misfit,
     poses_of_images,
+    scale_column,
     shift_zeros,
     with_joints,
 )
@@ -72,6 +78,38 @@ _REACHES = (np.pi, np.pi, np.pi, 0.2, 0.2, 0.02, 0.002)
 #: Values that are tried in each range.
 _TRIED = 41
 
+#: Trials that are registered after a screen of all: more than there are explanations as good as the best.
+_REGISTERED = 12
+
+#: The least angle that the farthest reading of a joint turns it by, if its factor is sought [rad].
+_LEAST_TURN = 0.1
+
+#: Relative step of factors of a joint: at one turn it is 0.2 rad, within which a minimum of the error is found.
+_FACTOR_STEP = 0.03
+
+#: Factors of a joint that differ by less are one: errors of an uncalibrated arm move a factor by some tenths of this.
+_SAME_FACTOR = 0.01
+
+#: Rounds in which a factor is sought: each twenty times as fine, the last one to 1e-5.
+_FACTOR_ROUNDS = 3
+
+#: The fewest rows whose order can be told wrong: some before the place and some after it.
+_FEWEST_ROWS_OF_ORDER = 8
+
+#: Places from which on measurements may be moved that are tried at first, evenly over a table.
+_ORDERS = 120
+
+#: Mistakes of the setup that are not combined with one of the joints: these have so much freedom that both together
+#: explain too much.
+_ALONE = (Why.TARGET_ELSEWHERE, Why.OTHER_TIP)
+
+#: The fewest numbers beyond the unknowns for which pairs are tried. Of ten thousand pairs one lowers an error to a
+#: fifth by chance with a probability of about 1e4 0.2^d: below 1e-3 from here on, though errors are not independent.
+_FEWEST_FREEDOM_OF_PAIR = 12
+
+#: Factor on the error of a trial of two mistakes, of which there are thousands.
+_ONE_OF_TWO = 2.0
+
 #: The fewest joints that carry another tip: on the axes of two joints a target stands still, as points in a wrong unit
 #: nearly do.
 _FEWEST_JOINTS_OF_TIP = 3
@@ -81,6 +119,12 @@ _ONE_PLACE = 1e-6
 
 #: A tip that moves by more than this cannot have stayed at one position [m].
 _FAR_APART = 1e-2
+
+#: A given target with a smaller error is where it was given, or nearly [m].
+_TARGET_MOVED = 5e-3
+
+#: A target is given to a millimetre or so: it may be off by this besides [m].
+_ROUND_TARGET = 2e-3
 
 #: Factor on the error of a trial without a further unknown, when trials are ranked.
 _PLAIN = 1.0
@@ -183,16 +227,21 @@ def frame_not_found(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
     return None
 
 
-def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason | None:
+def find_usual_mistake(
+    robot: Robot, cell: Cell, table: Measurements, in_order: Measurements | None = None
+) -> Reason | None:
     """Find a usual mistake that explains why the nominal robot is far off the rows of a table.
 
     Of poses the positions are examined first, and the orientations if the positions are plausible; several targets and
-    frames are examined together, on at most some tens of rows.
+    frames are examined together, on at most some tens of rows. If no single mistake explains the rows, every pair
+    of two is tried: all of them by `calib.diagnosis.screening`, the best by a registration.
 
     Args:
         robot: The nominal robot.
         cell: The cell as given.
         table: Points, poses or images; other kinds are not examined.
+        in_order: All rows of the file in their order, of which ``table`` may be a part; None: it is all. Only their
+            order is examined.
 
     Returns:
         The mistake, with the rms errors as given and with it undone [m] (of orientations [rad]), and others that
@@ -209,34 +258,65 @@ def find_usual_mistake(robot: Robot, cell: Cell, table: Measurements) -> Reason 
 
     if not np.all(table.of_kind("point", "pose")):
         return None
-    table = _some_rows(table)
-    # Targets and frames that the cell names and none of these rows sees are left out.
-    targets = {name: place for name, place in cell.targets.items() if name in table.targets}
-    frames = {name: pose for name, pose in cell.frames.items() if name in table.groups}
-    cell = replace(cell, targets=targets, frames=frames)
+    whole, table = table, _some_rows(table)
+    cell = _seen_cell(cell, table)
     poses, setup = rows_and_setup(robot, table, cell)
     rows = _as_points(poses)
     given, _ = misfit(robot, setup, rows)
+    turned = _given_target_turned(robot, setup, rows)
+    # Of a quarter turn the given numbers may be exchanged, or have other signs, as well.
+    if turned is not None and not np.isclose(np.sin(2.0 * turned.values["add_rad"]), 0.0):
+        return turned
     if given < _PLAUSIBLE:
         return _orientation_mistake(robot, setup, poses)
 
-    usual = _trials(robot, cell, table, setup, poses)
-    first, *further = _counts_of_turned_joints(robot, setup)
+    setups = list(_trials_of_setup(robot, cell, table, setup, poses))
     searches: list[Iterator[Trial]] = [
-        itertools.chain(usual, _turned_joints(robot, setup, rows, first)),
-        *(_turned_joints(robot, setup, rows, counts) for counts in further),
+        itertools.chain(
+            setups,
+            _trials_of_joints(robot, table, setup, rows),
+            _trials_of_order(robot, cell, whole if in_order is None else in_order),
+            _turned_joints(robot, setup, rows, _counts_of_turned_joints(robot, setup)),
+        ),
+        _pairs(robot, table, setup, rows, setups),
     ]
+    explanations = [(False, turned.values["error_m"], turned)] if turned else []
     for trials in searches:
-        explanations = []
         for trial in trials:
             error, _ = misfit(trial.robot, trial.setup, trial.rows)
             weighted = trial.factor * error
-            if error <= _EXPLAINED and weighted <= _FAR_BETTER * given:
+            largest = _PLAUSIBLE if trial.why is Why.TWO_MISTAKES else _EXPLAINED
+            far_better = weighted <= _FAR_BETTER * min(given, _spread(trial.rows.measured))
+            if error <= largest and far_better:
                 reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
                 explanations.append((_contradicts_orientations(trial, poses), weighted, reason))
-        if explanations:
-            return _choose(explanations)
-    return None
+        # One that leaves more than an uncalibrated arm has may be half of the truth.
+        if any(not c and r.values["error_m"] < _PLAUSIBLE for c, _, r in explanations):
+            break
+    return _choose(explanations) if explanations else None
+
+
+def _given_target_turned(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
+    """Return the zero of the last joint with which the targets are where they were given, if they seem to be elsewhere.
+
+    The rows, which are points, cannot tell that zero from the target's place: with the target estimated, any zero fits.
+    None if some target was not given, is where it was, or no turn by a round angle puts it there.
+    """
+    last = len(robot.inputs) - 1
+    if not np.all(setup.target_given) or robot.inputs[last].type == "prismatic":
+        return None
+    fixed = replace(setup, target_unknown=np.zeros_like(setup.target_unknown))
+    given, _ = misfit(robot, fixed, rows)
+    found, _ = misfit(robot, _with_unknown_targets(setup), rows)
+    if given < _TARGET_MOVED or found > min(_FAR_BETTER * given, _PLAUSIBLE):
+        return None
+    trials = []
+    for joints, why, values in shift_zeros(robot.joint_names[last], last, rows.joints):
+        error, _ = misfit(robot, fixed, with_joints(rows, joints))
+        trials.append(Reason.of(why, given_m=given, error_m=error, **values))
+    best = min(trials, key=lambda reason: reason.values["error_m"])
+    limit = min(_FAR_BETTER * given, _AS_GOOD * found + _ROUND_TARGET)
+    return best if best.values["error_m"] <= limit else None
 
 
 def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
@@ -306,6 +386,18 @@ def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | No
     return reason if best < _FAR_BETTER * given else None
 
 
+def _spread(points: Array) -> float:
+    """Return the rms distance of points (N, 3) from their centre [m]: the error with a robot that stands still."""
+    return float(np.sqrt(np.sum(np.var(points, axis=0))))
+
+
+def _seen_cell(cell: Cell, table: Measurements) -> Cell:
+    """Copy a cell without the targets and frames that it names and no row of a table sees."""
+    targets = {name: place for name, place in cell.targets.items() if name in table.targets}
+    frames = {name: pose for name, pose in cell.frames.items() if name in table.groups}
+    return replace(cell, targets=targets, frames=frames)
+
+
 def _some_rows(table: Measurements) -> Measurements:
     """Copy a table with at most `_ROWS` of its rows, evenly over it."""
     count = min(len(table), _ROWS)
@@ -330,10 +422,10 @@ def _with_unknown_targets(setup: Setup) -> Setup:
 # Trials
 
 
-def _trials(
+def _trials_of_setup(
     robot: Robot, cell: Cell, table: Measurements, setup: Setup, poses: Rows
 ) -> Iterator[Trial]:
-    """Yield trials in which the usual mistakes, other than reversed signs, are undone one at a time.
+    """Yield trials in which mistakes besides those of the joints' values are undone one at a time.
 
     Each has all targets unknown. ``poses`` are the rows of the table, whose positions are the rows of the trials.
     """
@@ -355,17 +447,8 @@ def _trials(
             unknown = replace(free, unknown=(DIRECTIONS,) * len(setup.groups))
             yield Trial(_FREE_FRAME, robot, unknown, rows, Why.OWN_FRAME)
 
-    for joints, why, values in correct_joints(robot, rows.joints):
-        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
-
-    # Measurements one row after their joint values, and one before; the first or last row falls away.
-    later = with_joints(rows.select(slice(1, None)), rows.joints[:-1])
-    yield Trial(_ONE_OF_MANY, robot, free, later, Why.ROWS_SHIFTED, {"later": True})
-    earlier = with_joints(rows.select(slice(None, -1)), rows.joints[1:])
-    yield Trial(_ONE_OF_MANY, robot, free, earlier, Why.ROWS_SHIFTED, {"later": False})
-
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
-    for points, why, values in correct_points(rows.measured, turns=turns):
+    for points, why, values in correct_points(rows.measured, table.units, turns=turns):
         yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), why, values)
 
     # Another link carries the target: one for each set of joints that the table has values of.
@@ -385,6 +468,31 @@ def _trials(
         other_free, other_rows = _with_unknown_targets(other_setup), _as_points(other_poses)
         yield Trial(_FREE, other, other_free, other_rows, Why.OTHER_TIP, {"link": link})
 
+    # Poses of the frame in the target.
+    if np.all(poses.where(lambda kind: kind.orientation)):
+        R = poses.measured[:, 3:12].reshape(-1, 3, 3)
+        points = -np.einsum("nji,nj->ni", R, poses.measured[:, :3])
+        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), Why.POSES_INVERSE)
+
+
+def _trials_of_joints(
+    robot: Robot, table: Measurements, setup: Setup, rows: Rows
+) -> Iterator[Trial]:
+    """Yield the best of the trials in which one mistake of joint values is undone, other than reversed signs.
+
+    ``rows`` are points. Every trial has all targets unknown.
+    """
+    free = _with_unknown_targets(setup)
+    by_column = [correction for _, correction in correct_columns(robot, rows.joints, table.units)]
+    corrections = [
+        *(correction for correction in by_column if correction[1] is not Why.JOINTS_TURNED),
+        *correct_joints(robot, rows.joints, table.units),
+    ]
+    for joints, why, values in _best(robot, free, rows, corrections):
+        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
+    for joints, why, values in _best_factors(robot, free, rows):
+        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
+
     # A joint whose column holds one value, at the values that would explain each row.
     is_constant = np.ptp(rows.joints, axis=0) == 0.0
     for joint in np.flatnonzero(is_constant).tolist():
@@ -394,11 +502,153 @@ def _trials(
         values = {"joint": robot.joint_names[joint]}
         yield Trial(_FREE, robot, free, moved, Why.JOINT_CONSTANT, values)
 
-    # Poses of the frame in the target.
-    if np.all(poses.where(lambda kind: kind.orientation)):
-        R = poses.measured[:, 3:12].reshape(-1, 3, 3)
-        points = -np.einsum("nji,nj->ni", R, poses.measured[:, :3])
-        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), Why.POSES_INVERSE)
+
+def _best(
+    robot: Robot, setup: Setup, rows: Rows, corrections: Sequence[Correction]
+) -> list[Correction]:
+    """Choose the corrections of joint values, at most `_REGISTERED`, with the smallest errors on a screen."""
+    errors = screened_errors(
+        robot, setup, rows, np.array([joints for joints, _, _ in corrections]), rows.measured
+    )
+    return [corrections[k] for k in np.argsort(errors, kind="stable")[:_REGISTERED].tolist()]
+
+
+def _best_factors(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Correction]:
+    """Yield for each turning joint the factor on its readings that explains the rows best, of either sign.
+
+    Factors are tried that make the largest reading between `_LEAST_TURN` and one turn, in steps of `_FACTOR_STEP`; then
+    those between the best one's neighbours.
+    """
+    for joint, (name, largest) in enumerate(
+        zip(robot.joint_names, np.max(np.abs(rows.joints), axis=0).tolist(), strict=True)
+    ):
+        if robot.inputs[joint].type == "prismatic" or not largest:
+            continue
+        least, most = np.log(_LEAST_TURN / largest), np.log(2.0 * np.pi / largest)
+        sizes = np.exp(np.arange(least, most, _FACTOR_STEP))
+        factors = np.concatenate([sizes, -sizes])
+        step = _FACTOR_STEP
+        for _ in range(_FACTOR_ROUNDS):
+            corrections = list(scale_column(name, joint, rows.joints, factors))
+            best, *_ = _best(robot, setup, rows, corrections)
+            factors = best[2]["factor"] * np.exp(np.linspace(-step, step, _TRIED))
+            step *= 2.0 / (_TRIED - 1)
+        size = abs(best[2]["factor"])
+        if not any(abs(size / simple - 1.0) < _SAME_FACTOR for simple in SIMPLE_FACTORS):
+            yield best
+
+
+def _trials_of_order(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
+    """Yield the best trials in which measurements are moved by a row against joint values, from some row to the last.
+
+    From the first row on all are shifted. From a later one on, one measurement is missing and the others moved up, or
+    one is there twice and they moved down. Names of frames and targets belong to the joint values or to the
+    measurements.
+    """
+    poses, setup = rows_and_setup(robot, table, _seen_cell(cell, table))
+    rows, free = _as_points(poses), _with_unknown_targets(setup)
+    last = len(rows) - 1
+    if last < _FEWEST_ROWS_OF_ORDER:
+        return
+
+    def moved(first: int, *, up: bool, named: bool) -> Rows:
+        """Return the rows with the measurements from a row on put back; those names belong to joint values or not."""
+        numbers = np.arange(last + 1)
+        without, whole = numbers != first, numbers < last
+        joints, measured = (without, whole) if up else (whole, without)
+        labelled = rows.select(joints if named else measured)
+        samples = replace(labelled.samples, q=rows.joints[joints])
+        return replace(labelled, samples=samples, measured=rows.measured[measured])
+
+    several = len(setup.groups) > 1 or len(setup.targets) > 1
+    for up in (True, False):
+        for named in (False, True) if several else (False,):
+            firsts = np.unique(np.linspace(0, last, _ORDERS).astype(int))
+            spacing = int(np.max(np.diff(firsts)))
+            best = 0
+            for candidates in (firsts, np.arange(-spacing + 1, spacing)):
+                chosen = candidates if candidates is firsts else best + candidates
+                chosen = chosen[(chosen >= 0) & (chosen <= last)]
+                errors = []
+                for first in chosen.tolist():
+                    trial = moved(first, up=up, named=named)
+                    part = trial.select(trial.evenly(_ROWS))
+                    (error,) = screened_errors(robot, free, part, part.joints[None], part.measured)
+                    errors.append(error)
+                best = int(chosen[np.argmin(errors)])
+                if spacing == 1:
+                    break
+            if best == last:
+                continue
+            values: dict[str, Any] = {"later": not up}
+            if best > 0:
+                values = {"row": table.rows[best], "up": up}
+            why = Why.ROWS_MOVED if best > 0 else Why.ROWS_SHIFTED
+            trial = moved(best, up=up, named=named)
+            factor = _FREE if best > 0 else _ONE_OF_MANY
+            yield Trial(factor, robot, free, trial.select(trial.evenly(_ROWS)), why, values)
+
+
+def _pairs(
+    robot: Robot, table: Measurements, setup: Setup, rows: Rows, setups: Sequence[Trial]
+) -> Iterator[Trial]:
+    """Yield the best of the trials in which two mistakes are undone: both of joint values, or one of the setup.
+
+    ``rows`` are points. ``setups`` are the trials of `_trials_of_setup`. Every trial has all targets unknown.
+    """
+    free = _with_unknown_targets(setup)
+    if rows.count - free.count < _FEWEST_FREEDOM_OF_PAIR:
+        return
+    plain = Trial(_PLAIN, robot, free, rows, Why.TWO_MISTAKES)
+    ranked: list[tuple[float, Trial]] = []
+    with_first = [(plain, _two_of_joints(robot, rows.joints, table.units))]
+    for trial in setups:
+        if trial.why not in _ALONE:
+            first = {"code": trial.why.value, **trial.values}
+            with_first.append((trial, _one_of_joints(trial, table.units, first)))
+    for trial, corrections in with_first:
+        factor = _ONE_OF_TWO * trial.factor
+        changed = list(corrections)
+        q = np.array([joints for joints, _ in changed])
+        errors = screened_errors(trial.robot, trial.setup, trial.rows, q, trial.rows.measured)
+        for k in np.argsort(errors, kind="stable")[:_REGISTERED].tolist():
+            joints, both = changed[k]
+            moved = with_joints(trial.rows, joints)
+            why, values = Why.TWO_MISTAKES, {"both": both}
+            if {mistake["code"] for mistake in both} == {Why.JOINTS_TURNED.value}:
+                why, values = Why.JOINTS_TURNED, {"joints": ", ".join(m["joints"] for m in both)}
+            pair = Trial(factor, trial.robot, trial.setup, moved, why, values)
+            ranked.append((factor * float(errors[k]), pair))
+    ranked.sort(key=lambda entry: entry[0])
+    for _, trial in ranked[:_REGISTERED]:
+        yield trial
+
+
+def _two_of_joints(
+    robot: Robot, q: Array, units: Mapping[str, str]
+) -> Iterator[tuple[Array, list[dict[str, Any]]]]:
+    """Yield joint values in which two mistakes are undone, and both: first of one column, then another or of several.
+
+    Of one column two are its sign and then its zero.
+    """
+    for i, (once, why, values) in correct_columns(robot, q, units):
+        first = {"code": why.value, **values}
+        for j, (twice, other, of_other) in correct_columns(robot, once, units):
+            of_one = why is Why.JOINTS_TURNED and other is Why.JOINT_ZERO
+            if j > i or (j == i and of_one):
+                yield twice, [first, {"code": other.value, **of_other}]
+        for twice, other, of_other in correct_joints(robot, once, units):
+            yield twice, [first, {"code": other.value, **of_other}]
+
+
+def _one_of_joints(
+    trial: Trial, units: Mapping[str, str], first: dict[str, Any]
+) -> Iterator[tuple[Array, list[dict[str, Any]]]]:
+    """Yield joint values of a trial in which one mistake is undone, and that mistake after the trial's own."""
+    q = trial.rows.joints
+    of_columns = (correction for _, correction in correct_columns(trial.robot, q, units))
+    for joints, why, values in (*of_columns, *correct_joints(trial.robot, q, units)):
+        yield joints, [first, {"code": why.value, **values}]
 
 
 def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
@@ -419,18 +669,13 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
     return with_joints(rows, q[every * _TRIED + nearest])
 
 
-def _counts_of_turned_joints(robot: Robot, setup: Setup) -> tuple[Sequence[int], ...]:
-    """List how many joints have their sign reversed at a time, for one search after the other.
+def _counts_of_turned_joints(robot: Robot, setup: Setup) -> Sequence[int]:
+    """List how many joints have their sign reversed at a time: any number, or one if the robot has many.
 
-    The next search is made if none before has explained the rows. Without an unknown frame there is one search, of any
-    number of joints, or of one at a time if the robot has many. An unknown frame makes a trial a hundred times as
-    expensive: then one joint, and two in a second search.
+    An unknown frame makes a trial a hundred times as expensive: then one as well. Two are among the pairs of mistakes.
     """
-    if any(setup.unknown):
-        return (1,), (2,)
     joints = len(robot.inputs)
-    most = joints if joints <= _MOST_SIGNS else 1
-    return (range(1, most + 1),)
+    return range(1, 2 if any(setup.unknown) or joints > _MOST_SIGNS else joints + 1)
 
 
 def _turned_joints(

@@ -216,6 +216,8 @@ def _notes(result: Calibration) -> Iterator[Reason]:
     m = result.fit.measurements
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
+    if m.turned:
+        yield Reason.of(Why.READINGS_TURNED, joints=", ".join(m.turned))
 
     rows_outside = result.rows.outside
     if rows_outside:

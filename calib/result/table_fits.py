@@ -110,7 +110,8 @@ def fit_table(
 
     began = time.perf_counter()
     model = cell.model if model is None else model
-    mistake = find_usual_mistake(robot, cell, measurements.select(measurements.estimation))
+    estimation = measurements.select(measurements.estimation)
+    mistake = find_usual_mistake(robot, cell, estimation, measurements)
     if mistake is None:
         mistake = frame_not_found(robot, seen, rows)
     task = Task(robot, cell, seen, model, known_distances(cell, seen), solver, robust)

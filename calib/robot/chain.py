@@ -14,7 +14,7 @@ readings are coupled (`calib.robot.coupled_readings`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,16 +30,6 @@ from calib.robot.urdf_tree import UrdfJoint
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""
-
-#: Usual names of a tip, the preferred ones first.
-_USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
-
-#: Words in the names of joints and links of a gripper or hand, in lower case.
-_FINGER_WORDS = ("finger", "thumb", "pinky", "jaw")
-_HAND_WORDS = (*_FINGER_WORDS, "gripper", "hand")
-
-#: Words in the names of wrist joints, which may also contain a word of a hand: ``gripper_yaw_joint``.
-_WRIST_WORDS = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,88 +196,6 @@ def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model
     return model
 
 
-def farthest_link(
-    urdf: Urdf,
-    base: str,
-    measured: Collection[str] | None = None,
-    held: Collection[str] = (),
-) -> str:
-    """Return the link with the most moving joints between it and the base: the default tip.
-
-    Joints of a gripper or hand, by their names, do not count unless no other joint moves. Among links equally far out a
-    usual name such as ``tool0`` wins, or else the last one that is not part of a gripper or hand.
-
-    Args:
-        urdf: The robot.
-        base: Link that the chain starts at.
-        measured: Names of joints; links that these alone lead to are preferred. None for all joints.
-        held: Names of joints that stay where they are: they lead on, but do not count.
-
-    Raises:
-        UrdfError: There is no link ``base``.
-    """
-    urdf.chain(base, base)  # raises, with the names of all links, for one that does not exist
-    above = {joint.child: joint for joint in urdf.joints}
-    start = base
-    while start in above and above[start].type == "fixed":
-        start = above[start].parent
-
-    # Joints of the arm that are measured count; if none moves, all that are measured; then the arm's; then all.
-    every = {joint.name for joint in urdf.joints}
-    arm = {joint.name for joint in urdf.joints if not _moves_hand(joint)}
-    given = every if measured is None else set(measured)
-    count: dict[str, int] = {}
-    for counted in (given & arm, given, arm, every):
-        count = _moving_joints_to(urdf, start, counted, held)
-        if max(count.values()):
-            break
-    most = max(count.values())
-    farthest = [link for link, number in count.items() if number == most]
-    before_hand = [link for link in farthest if not _is_in_hand(urdf, link)] or farthest
-    return next((name for name in _USUAL_TIPS if name in farthest), before_hand[-1])
-
-
-def _moves_hand(joint: UrdfJoint) -> bool:
-    """Return True if a joint belongs to a gripper or hand, by its name and that of the link that it moves."""
-    name, link = joint.name.casefold(), joint.child.casefold()
-    if any(word in name or word in link for word in _FINGER_WORDS):
-        return True
-    of_hand = any(word in name for word in _HAND_WORDS)
-    return of_hand and not any(word in name for word in _WRIST_WORDS)
-
-
-def _is_in_hand(urdf: Urdf, link: str) -> bool:
-    """Return True if a link, or one that it is fixed to, is part of a gripper or hand, by its name."""
-    above = {joint.child: joint for joint in urdf.joints}
-    while not any(word in link.casefold() for word in _HAND_WORDS):
-        if link not in above or above[link].type != "fixed":
-            return False
-        link = above[link].parent
-    return True
-
-
-def _moving_joints_to(
-    urdf: Urdf,
-    start: str,
-    counted: Collection[str],
-    held: Collection[str],
-) -> dict[str, int]:
-    """Return how many counted joints move each link below one, for links that these, fixed and held joints lead to."""
-    below: dict[str, list[UrdfJoint]] = {}
-    for joint in urdf.joints:
-        below.setdefault(joint.parent, []).append(joint)
-    count = {start: 0}
-    waiting = [start]
-    for link in waiting:
-        for joint in below.get(link, []):
-            still = joint.type == "fixed" or joint.name in held
-            moves = joint.type in MOVING and joint.mimic is None and joint.name in counted
-            if still or moves:
-                count[joint.child] = count[link] + (not still)
-                waiting.append(joint.child)
-    return count
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Coupling:
     """Motion of a chain's n joints with the m joints that move freely: q_chain = A theta + b."""
@@ -313,7 +221,7 @@ def coupling_of(urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, floa
     """
     # A joint of the chain may have its axis reversed.
     by_name = {joint.name: joint for joint in (*urdf.joints, *joints)}
-    followed = [_driver_of(urdf.source, by_name, joint.name, held) for joint in joints]
+    followed = [driver_of(urdf.source, by_name, joint.name, held) for joint in joints]
     drivers = list(dict.fromkeys(driver for driver, _, _ in followed if driver is not None))
     if not drivers:
         raise UrdfError(
@@ -380,7 +288,7 @@ def all_values(
     for joint in urdf.joints:
         if joint.type in MOVING:
             try:
-                driver, factor, offset = _driver_of(urdf.source, by_name, joint.name, held)
+                driver, factor, offset = driver_of(urdf.source, by_name, joint.name, held)
             except UrdfError:  # it mimics what cannot drive it; the chain's own joints were checked
                 driver, factor, offset = None, 0.0, 0.0
             driver_values = np.zeros(count)
@@ -390,16 +298,26 @@ def all_values(
     return result
 
 
-def _driver_of(
+def driver_of(
     source: str,
     by_name: Mapping[str, UrdfJoint],
     name: str,
     held: Mapping[str, float],
 ) -> tuple[str | None, float, float]:
-    """Return the driver, factor and offset [rad or m] of a joint with the value factor * driver + offset.
+    """Return what moves a joint: the driver, factor and offset of its value, factor * driver + offset.
 
-    The driver is the joint at the end of its chain of mimics, itself if it moves freely; None if it does not move.
-    UrdfError if it mimics itself, a joint that does not exist, or one that cannot drive it.
+    Args:
+        source: Name of the URDF, for messages.
+        by_name: Its joints.
+        name: The joint.
+        held: Values [rad or m] of joints that stay where they are, by name.
+
+    Returns:
+        The joint at the end of its chain of mimics, itself if it moves freely, None if it does not move; the factor;
+        the offset [rad or m].
+
+    Raises:
+        UrdfError: It mimics itself, a joint that does not exist, or one that cannot drive it.
     """
     factor = 1.0
     offset = 0.0

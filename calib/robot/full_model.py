@@ -1,4 +1,7 @@
-"""The Pinocchio model of a whole URDF: every joint, also those beside a chain; mimic joints move freely."""
+"""The Pinocchio model of a whole URDF: every joint, also those beside a chain; mimic joints move freely.
+
+Pinocchio is given what states joints and masses (`calib.robot.kinematic_text`). Moments of inertia are zero.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
 from calib.errors import UrdfError, choices
+from calib.robot.kinematic_text import kinematic_text
 from calib.robot.urdf import Urdf
 
 #: Prefix of the links' names in the Pinocchio model.
@@ -33,7 +37,7 @@ def full_model(urdf: Urdf) -> pin.Model:
 def _built_model(urdf: Urdf) -> pin.Model:
     """Return the model that `full_model` copies, or raise its UrdfError: reading the XML takes ten times a copy."""
     try:
-        model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
+        model = pin.buildModelFromXML(kinematic_text(urdf))
     except (ValueError, RuntimeError) as error:
         raise UrdfError(
             f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
@@ -53,7 +57,7 @@ def _built_model(urdf: Urdf) -> pin.Model:
     if misread:
         raise UrdfError(
             f"{urdf.source}: Pinocchio reads the joints {choices(misread)} in another way than they are written. Look "
-            "for unusual characters in numbers and names, and for comments inside of tags."
+            "for unusual characters in numbers and names."
         )
     # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: links get names of their own.
     for i in links:

@@ -37,6 +37,9 @@ _ROUNDING = 1e-4
 #: Margin to the limits of a sliding joint [m]; that of the others, an angle, is given.
 _SLIDING_MARGIN = 5e-3
 
+#: A sliding joint's limit beyond this is none [m]: no rail is as long, and exporters write 1000 for "no limit".
+_NO_LIMIT = 500.0
+
 #: A sliding joint without limits moves this far to both sides of zero [m].
 _UNLIMITED_SLIDE = 1.0
 
@@ -136,9 +139,12 @@ def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, f
 
 
 def _limits_of(joint: UrdfJoint) -> tuple[float, float]:
-    """Return a joint's limits [rad or m], infinite if there are none."""
+    """Return a joint's limits [rad or m], infinite if there are none, or none that a sliding joint can reach."""
     low = -np.inf if joint.lower is None else joint.lower
     high = np.inf if joint.upper is None else joint.upper
+    if joint.type == "prismatic":
+        low = -np.inf if low < -_NO_LIMIT else low
+        high = np.inf if high > _NO_LIMIT else high
     return low, high
 
 

@@ -33,9 +33,9 @@ from calib.robot.chain import (
     chain_between,
     checked_held,
     coupling_of,
-    farthest_link,
 )
 from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
+from calib.robot.default_tip import farthest_link
 from calib.robot.dh_rows import STANDARD, DHRobot, DHRow, DHTable
 from calib.robot.urdf import Urdf, read_urdf, urdf_of_dh
 from calib.robot.urdf_tree import UrdfJoint

@@ -142,17 +142,11 @@ def _joint(document: Document, element: Element) -> UrdfJoint:
     if length < _ZERO_AXIS:
         text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
         raise _fault(document, element, text)
-    # Every reader of URDFs refuses a limit that is missing or incomplete.
+    # Effort and velocity may be missing or -1, which has no effect here.
     limit = _part(document, element, "limit")
     if limit is None and kind in _LIMITS:
         text = f" is {kind} and has no <limit>; give it <limit {_LIMITS[kind]}"
         raise _fault(document, element, text)
-    if limit is not None:
-        for key in ("effort", "velocity"):
-            if key not in limit.attributes:
-                text = f': its <limit> has no {key}; add {key}="0" if it is not known'
-                raise _fault(document, element, text, limit)
-            numbers("limit", key, (0.0,))
     lower = upper = None
     if kind in ("revolute", "prismatic"):
         lower = _limit(document, element, "lower")

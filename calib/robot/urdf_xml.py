@@ -233,8 +233,9 @@ class _Scanner:
             if name.startswith("xmlns:") and "xacro" in value:
                 self._xacro.add(name.removeprefix("xmlns:"))
         for name in (tag, *attributes):
-            prefix, colon, _ = name.partition(":")
-            if colon and prefix in self._xacro:
+            prefix, colon, local = name.partition(":")
+            # A property that nothing uses has no effect; where one is used, the number has a dollar sign.
+            if colon and prefix in self._xacro and local != "property":
                 message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
                 raise UrdfError(f"{self.source}, line {line}: {message}")
         self._depth += 1

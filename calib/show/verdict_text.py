@@ -45,12 +45,16 @@ _COMPENSATE = "send compensated commands (calib compensate with the result file)
 #: The sentence of each code; a number is written as ``{name:unit.digits}``.
 SENTENCES = {
     Why.TARGET_ELSEWHERE: _OFF + "the target is estimated from the data: omit --fix-target.",
-    Why.WRONG_UNIT: _OFF
-    + "the {what} are in {unit}, although the header says {header}: correct the header.",
+    Why.WRONG_UNIT: _OFF + "the {what} are {wrong_unit}.",
     Why.OTHER_BASE: _OFF + "the points are in the frame of '{link}': try --base {link}.",
     Why.OWN_FRAME: _OFF + "the points are not in the base frame: try --frame estimate.",
-    Why.JOINTS_TURNED: _OFF + "the sign of {joints} is reversed: check the positive direction.",
-    Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
+    Why.JOINTS_TURNED: _OFF + "the sign of {joints} is reversed: check the positive direction, or "
+    "multiply the values by -1.",
+    Why.JOINT_ZERO: _OFF + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position, "
+    "or add this to all values of the column.",
+    Why.JOINT_FACTOR: _OFF
+    + "the values of '{joint}' are multiplied by {factor:.5g}: does the column hold angles of "
+    "the motor, or percent? Write the joint's angles into it.",
     Why.COLUMNS_SWAPPED: _OFF
     + "the columns '{first}' and '{second}' are swapped: check the header.",
     Why.POSES_INVERSE: _OFF
@@ -66,6 +70,8 @@ SENTENCES = {
     Why.ROWS_SHIFTED: _OFF
     + "joint values and measurements are shifted by one row against each other: check which "
     "measurement belongs to which pose.",
+    Why.ROWS_MOVED: _OFF + "the measurements from row {row} on {moved_rows}.",
+    Why.TWO_MISTAKES: _OFF + "two mistakes are undone: {both_mistakes}.",
     Why.OTHER_TIP: _OFF + "the target is mounted on '{link}': try --tip {link}.",
     Why.JOINT_CONSTANT: _OFF
     + "'{joint}' moved, although its column holds a single value: give the actual values.",
@@ -115,8 +121,8 @@ SENTENCES = {
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
     "{arm_m:mm.1f} mm. Unless the measurement frame is aligned with the base better than that, "
     "add --frame estimate.",
-    Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows, noise "
-    "subtracted ({change}).{better}",
+    Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows{free_of_noise} "
+    "({change}{with_noise}).{better}",
     Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: "
     "{change}.",
     Why.JOINTS_LAG: f"{_NOT_NOISE}they follow the last move of the joints, which {_SHARE}: the "
@@ -190,6 +196,8 @@ SENTENCES = {
     "lengths. If its scale is certified, state it in the cell file: scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
+    Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
+    "back by 360 deg; the URDF's limits decide.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
@@ -240,15 +248,55 @@ def reason_text(reason: Reason) -> str:
         One or two sentences, with numbers in mm, deg and %.
     """
     values = reason.values
-    words = {**values, **_words(values)}
+    words = {**values, **_words(values), **_words_of_mistake(values)}
     text = _Units().vformat(SENTENCES[reason.why], (), words)
     sentences = [text]
     # Other mistakes that explain the rows as well.
-    for other in values.get("others", ()):
-        sentence = SENTENCES[Why[str(other["code"]).upper()]].removeprefix(_OFF)
-        alternative = _Units().vformat(sentence, (), {"given_m": values["given_m"], **other})
-        sentences.append(f"Or else ({mm(other['error_m'], 1)} mm): {alternative}")
+    sentences += [
+        f"Or else ({mm(other['error_m'], 1)} mm): {_undone(other)}"
+        for other in values.get("others", ())
+    ]
     return " ".join(sentences)
+
+
+def _undone(mistake: Mapping[str, Any]) -> str:
+    """Return how a mistake is undone, with its remedy, as it stands after "but only if"; it has a code and values."""
+    sentence = SENTENCES[Why[str(mistake["code"]).upper()]].removeprefix(_OFF)
+    return _Units().vformat(sentence, (), {**mistake, **_words_of_mistake(mistake)})
+
+
+def _words_of_mistake(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return by name the words that the sentences of usual mistakes take besides their values (SI units)."""
+    words = {}
+    if "what" in values and "factor" in values:
+        if values.get("unit"):
+            unit, header = values["unit"], values["header"]
+            listed_points = (
+                f" (--points-unit {unit} with a list)" if values["what"] == "points" else ""
+            )
+            words["wrong_unit"] = (
+                f"in {unit}, not in {header} as stated: write [{unit}] into the header{listed_points}"
+            )
+        else:
+            words["wrong_unit"] = (
+                f"multiplied by {values['factor']:.6g}: they were converted twice, or not at all, before they "
+                "were written"
+            )
+    if "row" in values and "up" in values:
+        row = values["row"]
+        words["moved_rows"] = (
+            f"move down by one row. That of row {row} is missing: insert an empty one there"
+            if values["up"]
+            else f"move up by one row. That of row {row} is one too many: delete it"
+        )
+    if "both" in values:
+        # What is wrong comes first, as a page may have no room for the remedies.
+        parts = [_undone(mistake).removesuffix(".").partition(": ") for mistake in values["both"]]
+        (first, _, of_first), (second, _, of_second) = parts
+        words["both_mistakes"] = (
+            f"{first}, and {second}. For the one, {of_first}; for the other, {of_second}"
+        )
+    return words
 
 
 def _words(values: Mapping[str, Any]) -> dict[str, str]:
@@ -284,6 +332,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
         "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",
         "outliers_aside": "",
+        "free_of_noise": ", noise subtracted",
+        "with_noise": "",
         "if_exact": "do not state it as exact, and " if values.get("exact") else "",
         "rows_aside": "",
         "named": "",
@@ -300,6 +350,13 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "less_noise": "".join(sizes_of(values, "less")[:1]),
         "within": "".join(sizes_of(values, "within")[:1]),
     }
+    free_before, free_after = (sizes_of(values, f"free_{side}") for side in ("before", "after"))
+    if free_before and free_after:
+        # The share is that of these figures; those with the noise may hardly differ.
+        words["free_of_noise"] = (
+            f", {free_after[0]} of {free_before[0]} rms once the noise is subtracted"
+        )
+        words["with_noise"] = " with the noise"
     if values.get("outliers"):
         words["outliers_aside"] = ", outliers excluded"
     if values.get("aside"):

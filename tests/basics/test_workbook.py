@@ -78,7 +78,7 @@ def test_a_sheet_is_a_list_of_points(saved):
 def test_cells_that_are_refused(saved):
     number = (4, 10, 100, 200, 300)
     path = saved(HEADER, number, (5, 10, DAY, 200, 300))
-    refused(path, ["line 4 (row 5)", "column 'x [mm]'", "date 2026-05-01"])
+    refused(path, ["line 4 (row 5)", "column 'x [mm]'", "date '2026-05-01"])
     refused(saved(HEADER, (4, 10, "=B3*2", 200, 300)), ["sheet 'Poses', cell C3"])
     refused(saved(HEADER, (4, 10, True, 200, 300)), ["line 3 (row 4)", "'TRUE'"])
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calib.basics.units import UNITS
+from calib.data.measurements import Measurements
 from calib.data.plausibility import implausible_length
 from tests.data.tables import refused
 
@@ -44,3 +45,13 @@ def test_degrees_read_as_radians(table):
 def test_the_farthest_row_decides(values, unit, near, found):
     fault = implausible_length(np.array(values, dtype=float), [UNITS[unit]] * 3, near=near)
     assert (None if fault is None else fault[:2]) == found
+
+
+def test_a_date_that_excel_made_of_a_number_is_refused(table):
+    header, others = "a [deg],x [mm],y [mm],z [mm]", ["1.4,10,20,300", "-72,10,20,300"]
+    refused(table(header, "46143,10,20,300", *others), says=["line 2", "'a [deg]'", "2026-05-01"])
+    refused(table(header, *others, "3,46027,20,300"), says=["line 4", "'x [mm]'", "2026-01-05"])
+    # Not whole, of another century, or no larger than the others.
+    for value, other in ((46143.5, "-72"), (36525.0, "-72"), (46143.0, "-7200")):
+        rows = [f"{value},10,20,300", f"{other},10,20,300"]
+        Measurements.read(table("a [deg],x [um],y [um],z [mm]", *rows))

@@ -132,3 +132,22 @@ def test_row_numbers_are_whole(table):
         table(HEADER, ROWS[0], "2.0,estimate,1,2,3,4,5"),
         "column 'row': '2.0' is not a whole number",
     )
+
+
+@pytest.mark.parametrize(
+    "text", ["5-Jan", "May-01", "1. Mai", "01.05.2026", "1/5/2026", "1/5", "2026-05-01 00:00:00"]
+)
+def test_a_date_in_a_cell_is_called_one(table, text):
+    refused(table("a [deg],x [mm],y [mm],z [mm]", f"{text},1,2,300"), f"the date '{text}'")
+
+
+@pytest.mark.parametrize("text", ["abc", "1.5.", "n/a", "1-2"])
+def test_other_words_are_no_dates(table, text):
+    refused(table("a [deg],x [mm],y [mm],z [mm]", f"{text},1,2,300"), "is not a finite number")
+
+
+def test_the_units_of_the_file_are_kept(table, listed):
+    m = Measurements.read(table("a [deg],x [mm],y [cm],z [mm]", "1,100,20,300"))
+    assert m.units == {"a": "deg", "x": "mm", "y": "cm", "z": "mm"}
+    points = listed("# Units: mm", "100.5 200 300")
+    assert Measurements.read(table("a [rad]", "1"), points=points).units["y"] == "mm"

@@ -195,7 +195,11 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             "use with care",
             Why.MANY_OUTLIERS,
         ),
-        ({"validation": on_validation(51e-3, 40e-3)}, "use with care", Why.VALIDATION_UNLIKE),
+        # Far beyond the held-out error it is a doubt; far beyond the nominal one the rows are of something else,
+        # whether their error falls or not.
+        ({"validation": on_validation(30e-3, 24e-3)}, "use with care", Why.VALIDATION_UNLIKE),
+        ({"validation": on_validation(51e-3, 26e-3)}, "do not use", Why.VALIDATION_UNLIKE),
+        ({"validation": on_validation(51e-3, 52e-3)}, "do not use", Why.VALIDATION_UNLIKE),
     ],
 )
 def test_each_doubt_is_said_first(change, use, why):
@@ -296,6 +300,21 @@ def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
     # A robot whose errors only a non-geometric model explains is no robot at its noise.
     assert replace(GOOD, **RIGHT).at_noise_level
     assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).at_noise_level
+
+
+def test_the_share_that_remains_is_that_of_the_stated_errors_without_noise():
+    noise = np.full((ROWS, 3), 2e-3 / np.sqrt(3.0) / 1e-4)
+    nominal = replace(GOOD.nominal, errors_without_outliers=errors(2.5e-3))
+    nominal = replace(nominal, residual=np.full((ROWS, 3), 2.5e-3 / np.sqrt(3.0)))
+    evidence = replace(GOOD, nominal=nominal, calibrated=validated(2.4e-3, 1), floor=noise)
+    before, after = evidence.free_of_noise
+    # A noise of 2 mm is most of 2.5 mm: 1.5 mm are left.
+    assert before == pytest.approx(1.5e-3, rel=1e-9)
+    assert after == pytest.approx(before * evidence.remains_held_out, rel=1e-12)
+    (reason, *_) = judge(replace(GOOD, calibrated=validated(1.1e-3, 1))).reasons
+    values = reason.values
+    share = values["free_after_m"] / values["free_before_m"]
+    assert share == pytest.approx(values["remains"], rel=1e-12)
 
 
 def test_much_remains_names_the_model_that_leaves_far_less():

@@ -10,10 +10,13 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.trials import (
+    correct_columns,
     correct_joints,
     misfit,
     poses_of_images,
+    scale_column,
     shift_zeros,
+    units_of,
     with_joints,
 )
 from calib.fit.registration.table_rows import rows_and_setup
@@ -64,23 +67,22 @@ def test_views_as_poses_have_the_boards_poses():
     assert poses_of_images(arm(), c, result) is None  # these are poses
 
 
-def test_zeros_are_shifted_by_quarter_turns_either_way_and_by_half_a_turn():
+def test_zeros_are_shifted_by_multiples_of_45_deg():
     q = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     trials = list(shift_zeros("b", 1, q))
     assert {why for _, why, _ in trials} == {Why.JOINT_ZERO}
-    assert [values["joint"] for _, _, values in trials] == ["b"] * 3
+    assert [values["joint"] for _, _, values in trials] == ["b"] * 7
     added = [values["add_rad"] for _, _, values in trials]
-    assert added == pytest.approx([np.pi / 2, -np.pi / 2, np.pi])
+    assert sorted(np.degrees(added)) == pytest.approx([-135, -90, -45, 45, 90, 135, 180])
     for (shifted, _, _), turn in zip(trials, added, strict=True):
         np.testing.assert_allclose(shifted - q, [[0, turn, 0]] * 2, atol=1e-15)
 
 
 def test_each_usual_change_of_six_joints_is_tried(ur3: Robot):
     q = random_joint_values(ur3, 4, 1)
-    trials = list(correct_joints(ur3, q))
+    trials = list(correct_joints(ur3, q, {}))
     count = {why: sum(code is why for _, code, _ in trials) for why in {t[1] for t in trials}}
     assert count == {
-        Why.JOINT_ZERO: 18,
         Why.COLUMNS_SWAPPED: 15,
         Why.COLUMNS_REVERSED: 1,
         Why.READINGS_COUPLED: 10,
@@ -93,9 +95,45 @@ def test_each_usual_change_of_six_joints_is_tried(ur3: Robot):
     np.testing.assert_allclose(changed, expected, atol=1e-15)
 
 
+def test_each_column_is_changed_alone(ur3: Robot):
+    q = random_joint_values(ur3, 4, 1)
+    trials = list(correct_columns(ur3, q, {ur3.joint_names[2]: "deg"}))
+    assert len(trials) == 6 * (1 + 7 + 2)
+    for i, (changed, _, _) in trials:
+        others = np.arange(6) != i
+        np.testing.assert_array_equal(changed[:, others], q[:, others])
+        assert not np.allclose(changed[:, i], q[:, i])
+    signs = [c for i, c in trials if i == 2 and c[1] is Why.JOINTS_TURNED]
+    np.testing.assert_array_equal(signs[0][0][:, 2], -q[:, 2])
+    units = [c for i, c in trials if i == 2 and c[1] is Why.WRONG_UNIT]
+    assert [values.get("unit") for _, _, values in units] == ["rad", None]
+    np.testing.assert_allclose(units[0][0][:, 2], np.degrees(q[:, 2]))
+
+
+@pytest.mark.parametrize(
+    ("factor", "stated", "true"),
+    [(10.0, "mm", "cm"), (1e-3, "m", "mm"), (25.4, "mm", "in"), (1.0 / 25.4, "in", "mm"),
+     (np.degrees(1.0), "deg", "rad"), (np.degrees(1.0), "rad", None), (10.0, "m", None)],
+)  # fmt: skip
+def test_a_wrong_unit_has_a_name_only_if_it_is_a_unit(factor, stated, true):
+    values = units_of(factor, stated)
+    assert (values["factor"], values.get("unit")) == (factor, true)
+    assert values.get("header") == (stated if true else None)
+    assert units_of(factor, None) == {"factor": factor}
+
+
+def test_a_joint_is_scaled_alone():
+    q = np.array([[0.1, 0.2, 0.3]])
+    (changed, why, values), _ = scale_column("b", 1, q, np.array([-2.0, 3.0]))
+    np.testing.assert_allclose(changed, [[0.1, -0.4, 0.3]])
+    assert (why, values) == (Why.JOINT_FACTOR, {"joint": "b", "factor": -2.0})
+
+
 def test_a_stated_coupling_is_left_out_in_one_trial(ur3: Robot):
     pan, lift, *_ = ur3.joint_names
     coupled = Robot.from_urdf(ur3.urdf, ur3.base, ur3.tip, coupling={lift: {pan: 1.0}})
     q = random_joint_values(ur3, 4, 1)
-    (without,) = [c for c, why, _ in correct_joints(coupled, q) if why is Why.READINGS_NOT_COUPLED]
+    (without,) = [
+        c for c, why, _ in correct_joints(coupled, q, {}) if why is Why.READINGS_NOT_COUPLED
+    ]
     np.testing.assert_allclose(coupled.poses(without), ur3.poses(q), atol=1e-12)

@@ -68,6 +68,10 @@ def test_without_more_they_are_the_limits_or_a_turn(leg, ur3):
         ("revolute", (-12.0, 0.0), (-2 * np.pi, 0.0)),
         ("continuous", None, (-np.pi, np.pi)),
         ("prismatic", (0.0, 12.0), (0.0, 12.0)),
+        ("prismatic", (-499.0, 0.5), (-499.0, 0.5)),
+        ("prismatic", (-1000.0, 1000.0), (-1.0, 1.0)),  # no limits at all
+        ("prismatic", (0.0, 1000.0), (0.0, 1.0)),
+        ("prismatic", (-1e16, 0.5), (-1.0, 0.5)),
     ],
 )
 def test_a_joint_goes_everywhere_it_can(kind, limits, expected):

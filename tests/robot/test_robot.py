@@ -67,52 +67,6 @@ def test_a_name_is_read_in_any_case():
     assert Robot.load("UR5") == Robot.load("ur5")
 
 
-# Base and tip
-
-
-@pytest.mark.parametrize(
-    ("name", "tip", "joints"),
-    [
-        ("panda", "panda_link8", 7),
-        ("so101", "gripper_frame_link", 5),
-        ("z1", "link06", 6),
-        ("kinova", "j2s6s200_end_effector", 6),
-        ("tiago", "wrist_ft_tool_link", 8),
-        ("talos_left_arm", "wrist_left_ft_tool_link", 6),
-        ("finger_edu", "finger_tip_link", 3),  # nothing but a finger
-    ],
-)
-def test_the_default_tip_is_before_a_gripper_or_hand(name, tip, joints):
-    robot = Robot.load(name)
-    assert (robot.tip, len(robot.joint_names)) == (tip, joints)
-
-
-def test_a_hand_with_columns_does_not_move_the_default_tip():
-    names = [joint.name for joint in Robot.load("panda").urdf.joints]
-    assert Robot.load("panda", measured=names).tip == "panda_link8"
-    assert Robot.load("panda", measured=["panda_finger_joint1"]).joint_names != ()
-
-
-@pytest.mark.parametrize(
-    ("joint_name", "link", "tip"),
-    [
-        ("gripper_yaw", "wrist", "wrist"),  # an axis of the wrist
-        ("gripper_joint", "clamp", "arm"),
-        ("slide", "left_finger", "arm"),
-    ],
-)
-def test_what_makes_a_joint_one_of_a_hand(joint_name, link, tip):
-    robot = load(f"base arm {link}", joint("1", "base", "arm"), joint(joint_name, "arm", link))
-    assert robot.tip == tip
-
-
-def test_measured_joints_restrict_the_default_tip():
-    arm = [f"panda_joint{i}" for i in range(1, 8)]
-    assert Robot.load("panda", tip="panda_leftfinger").joint_names == (*arm, "panda_finger_joint1")
-    assert Robot.load("panda", measured=arm).joint_names == tuple(arm)
-    assert Robot.load("panda", measured=arm[:3]).joint_names == tuple(arm[:3])
-
-
 # Refused chains
 
 
@@ -265,7 +219,7 @@ def test_the_corrected_urdf_says_what_the_new_robot_says(name):
     )
     np.testing.assert_allclose(again.poses(q), new.poses(q), rtol=0, atol=1e-12)
     np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
-    check_written(new, new.poses(q), q)
+    check_written(new, new.poses(q), q, robot)
     assert np.abs(new.poses(q) - before).max() > 1e-3
     np.testing.assert_array_equal(robot.poses(q), before)
     assert robot.urdf.data == bytes_before

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.errors import UrdfError
+from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, robot_data_urdfs
 
 LINE = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
@@ -40,9 +41,12 @@ def test_a_joint_without_a_limit_is_named_with_its_line_and_what_to_write():
 
 
 @pytest.mark.parametrize("key", ["effort", "velocity"])
-def test_a_limit_that_is_not_whole(key: str):
-    refused(ARM.replace(f' {key}="1"', "", 1), "line 4: joint 'j'", f'add {key}="0"')
-    refused(ARM.replace(f'{key}="1"', f'{key}="fast"', 1), f"{key} of <limit> is 'fast'")
+@pytest.mark.parametrize("value", ["", "-1.0", "fast", "inf"])
+def test_efforts_and_velocities_are_read_over(key: str, value: str):
+    written = f' {key}="{value}"' if value else ""
+    urdf = Urdf.from_bytes(ARM.replace(f' {key}="1"', written).encode(), "r.urdf")
+    assert (urdf.joint("j").lower, urdf.joint("j").upper) == (-1.0, 1.0)
+    assert Robot.from_urdf(urdf).joint_names == ("j", "k")
 
 
 def test_a_limit_without_ends_is_a_joint_without_ends():

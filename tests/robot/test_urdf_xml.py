@@ -53,6 +53,9 @@ READ: dict[str, bytes] = {
     "instructions": PLAIN.replace("<robot", '<?x <origin xyz="9 9 9"/> ?><robot').encode(),
     "a prefix": PLAIN.replace('"r">', '"r" xmlns:g="u"><g:joint name="one"/>').encode(),
     "a namespace of its own": PLAIN.replace("<origin", '<x xmlns="y"><origin xyz="9 9 9"/></x><origin').encode(),
+    "a default namespace": PLAIN.replace('"r">', '"r" xmlns="http://example.org/robot">').encode(),
+    "a property of xacro that is not used":
+        PLAIN.replace('"r">', '"r" xmlns:xacro="xacro"><xacro:property name="w" value=".2"/>').encode(),
     "text around": PLAIN.replace("<origin", "some text <origin").encode() + b"<!-- end -->\n",
     "no origin": PLAIN.replace('<origin xyz="0 0 0.1" rpy="0 1.5707963267948966 0"/>', "").encode(),
     "an open origin": PLAIN.replace('66 0"/>', '66 0" ><!-- > --></origin >').encode(),
@@ -72,7 +75,7 @@ def test_read_corrected_and_read_again(data: bytes):
     placements[:, :3, :3] = placements[:, :3, :3] @ pin.exp3(1e-2 * rng.normal(size=3))
     moved = robot.with_placements(placements)
     q = random_joint_values(robot, 3)
-    check_written(moved, moved.poses(q), q)
+    check_written(moved, moved.poses(q), q, robot)
     # Without the tags that were written, everything else is as it was, byte for byte.
     tag = re.compile(rb"\s*<origin\s[^>]*>")
 
@@ -92,7 +95,7 @@ def test_a_prefix_that_is_not_declared():
     assert len(read_solids(urdf)[0]) == 1
     robot = Robot.from_urdf(urdf)
     q = random_joint_values(robot, 2)
-    check_written(robot, robot.poses(q), q)
+    check_written(robot, robot.poses(q), q, robot)
 
 
 # The verdict that a corrected URDF states
@@ -128,7 +131,8 @@ def test_a_verdict_is_replaced_and_read_back():
     # Pinocchio and yourdfpy read it as before.
     robot = Robot.from_urdf(again, "a", "c")
     q = random_joint_values(robot)
-    check_written(robot, Robot.from_urdf(urdf.with_verdict(""), "a", "c").poses(q), q)
+    given = Robot.from_urdf(urdf.with_verdict(""), "a", "c")
+    check_written(robot, given.poses(q), q, given)
 
 
 def test_other_comments_state_no_verdict():

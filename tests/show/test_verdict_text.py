@@ -31,6 +31,17 @@ def test_orientations_are_told_beside_positions():
     )
 
 
+def test_two_mistakes_are_both_named_before_what_to_do_about_them():
+    both = [
+        {"code": "joints_turned", "joints": "elbow"},
+        {"code": "wrong_unit", "what": "points", "factor": 10.0, "unit": "cm", "header": "mm"},
+    ]
+    values = {"given_m": 0.5, "error_m": 4e-3, "both": both}
+    _, _, text = reason_text(Reason(Why.TWO_MISTAKES, values)).partition("undone: ")
+    places = [text.index(words) for words in ("elbow", "in cm", "by -1", "[cm]")]
+    assert places == sorted(places)
+
+
 def test_only_do_not_use_speaks_against_a_result():
     reasons = (Reason.of(Why.PARAMETER_FAR, largest=0.2), Reason.of(Why.NO_LENGTH))
     assert [do_not_use_text(Verdict(use, reasons)) for use in (USE, CARE)] == ["", ""]

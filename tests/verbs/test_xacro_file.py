@@ -77,11 +77,11 @@ def test_a_result_holds_the_robot_that_its_xacro_became(call, folder: Path):
     [
         (
             ["inspect", "ur3_from_origins.urdf.xacro orgins:=ur3_nominal_origins.yaml"],
-            "it has no argument 'orgins' (did you mean 'origins'?)",
+            "It has no argument 'orgins' (did you mean 'origins'?)",
         ),
         (
             ["inspect", "ur3_from_origins.urdf.xacro"],
-            "No such file or directory: 'ur3_origins.yaml'",
+            "it uses the file 'ur3_origins.yaml', which cannot be read: No such file or directory",
         ),
         (
             ["inspect", "ur3_from_origins.urdf.xacro", "origins:=ur3_nominal_origins.yaml"],

@@ -38,6 +38,8 @@ class Points:
     source: str
     #: Hash of the file's bytes.
     sha256: str
+    #: Symbol of the unit of the file's numbers; empty if it is not known.
+    unit: str = ""
 
     def of_rows(self, source: str, rows: Sequence[int], names: Sequence[str] | None) -> list[int]:
         """Return the index of the point of each row of a table, by the names of points or by their order.

@@ -60,5 +60,5 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
     T_base_tip = c.geometry.tips(Samples.at(q))
-    check_written(robot, T_base_tip, q)
+    check_written(robot, T_base_tip, q, c.nominal)
     return robot.urdf

@@ -17,7 +17,8 @@ import pinocchio as pin
 from calib.basics.arrays import Array, rigid_inverse
 from calib.errors import UrdfError, choices
 from calib.robot.full_model import full_model, link_frame
-from calib.robot.readback import TOLERANCE, yourdfpy_model
+from calib.robot.kinematic_text import kinematic_text
+from calib.robot.readback import check_close, yourdfpy_model
 from calib.robot.urdf import Urdf
 
 
@@ -176,16 +177,12 @@ def check_fixed_frame(urdf: Urdf, link: str, frame: str, T_link_frame: Array) ->
     written = Urdf.from_bytes(urdf.data, urdf.source)
     poses = {
         "Pinocchio": _by_pinocchio(written, link, frame),
-        "yourdfpy": yourdfpy_model(written).get_transform(frame, link),
+        "yourdfpy": yourdfpy_model(kinematic_text(written), written.name).get_transform(
+            frame, link
+        ),
     }
     for reader, T_read in poses.items():
-        off = np.abs(T_read - T_link_frame)
-        if not off.max() <= TOLERANCE:
-            raise UrdfError(
-                f"The URDF, read back by {reader}, has '{frame}' {off[:3, 3].max():.2e} m and "
-                f"{off[:3, :3].max():.2e} rad away from its estimated pose; {TOLERANCE:g} is allowed. It is not "
-                "written. Please report this with the URDF."
-            )
+        check_close(reader, frame, T_read[None], T_link_frame[None])
 
 
 def _by_pinocchio(urdf: Urdf, link: str, frame: str) -> Array:

@@ -130,7 +130,7 @@ def write_urdf(source: Source, path: Path, options: Options) -> Notes:
     if source.kind == "robot" and source.nominal is not None:
         written = source.nominal.with_placements(robot.placements)
     written = replace(written, urdf=written.urdf.with_verdict(robot.urdf.verdict))
-    check_written(written, robot.poses(q), q)
+    check_written(written, robot.poses(q), q, source.nominal or robot)
     written.urdf.write(path, overwrite=options.overwrite)
     coupled = robot.reading_coupling
     if not coupled:

@@ -102,7 +102,7 @@ class Truth(Value):
         """
         robot = self.robot
         q = random_joint_values(robot)
-        check_written(robot, robot.poses(q), q)
+        check_written(robot, robot.poses(q), q, self.nominal)
         # A verdict in the nominal URDF is on another geometry.
         return robot.urdf.with_verdict("").write(path, overwrite=overwrite)
 

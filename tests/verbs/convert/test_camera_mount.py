@@ -10,8 +10,8 @@ import pytest
 
 from calib.basics.arrays import rigid_inverse
 from calib.errors import CalibError, UrdfError
+from calib.robot import readback
 from calib.robot.robot import Robot
-from calib.verbs.convert import fixed_frames
 from calib.verbs.convert.camera_frames import check_names
 from calib.verbs.convert.camera_mount import Handover, mounted
 from calib.verbs.convert.convert import convert
@@ -160,7 +160,7 @@ def test_a_hand_over_on_the_urdf_of_an_earlier_one(tmp_path):
 
 
 def test_a_frame_that_is_read_elsewhere_is_refused(monkeypatch):
-    monkeypatch.setattr(fixed_frames, "TOLERANCE", -1.0)
+    monkeypatch.setattr(readback, "TOLERANCE", -1.0)
     with pytest.raises(UrdfError, match="read back by Pinocchio"):
         mounted(SOURCE, Options(camera=MOVED))
 
