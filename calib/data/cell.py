@@ -273,6 +273,13 @@ class Cell(Value):
         "Whether the instrument's scale was certified or checked against a known length.",
         default=False,
     )
+    #: True if a known measurement frame was aligned with the base: if the base seems to have moved, the arm is off.
+    frame_aligned: bool = key(
+        "frame_aligned",
+        TRUTH,
+        "Whether a known measurement frame was aligned with the base by measuring its mounting.",
+        default=False,
+    )
     #: Weighting of repeated poses: ``"weighted"``, ``"average"`` or ``"independent"``.
     repeats: str = key(
         "repeats",

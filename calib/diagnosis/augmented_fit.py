@@ -48,20 +48,24 @@ class AugmentedFit:
     #: Prior standard deviation of each family, estimated again
     prior_std: Mapping[str, float]
 
-    def p_value(self, freedom: float, directions: Array | None = None) -> float:
+    def p_value(
+        self, freedom: float, directions: Array | None = None, variance: float = 0.0
+    ) -> float:
         """Test whether the additional unknowns b, with the covariance C, are zero, by F(k, freedom) of b^T C^-1 b / k.
 
         Args:
             freedom: Degrees of freedom of the prior standard deviations in C.
             directions: Test only b along these directions, shape (k', k); None for all of b.
+            variance: That of errors of usual size along each direction, which is added to C: the test is then whether b
+                is larger than these; 0 for none.
 
         Returns:
-            The p-value: the probability of an F as large if these unknowns are zero.
+            The p-value: the probability of an F as large if these unknowns are zero, or errors of that size.
         """
         if directions is None:
             directions = np.eye(len(self.b))
         b = directions @ self.b
-        C = directions @ self.covariance @ directions.T
+        C = directions @ self.covariance @ directions.T + variance * np.eye(len(b))
         square = float(b @ np.linalg.solve(C, b))
         return float(fdtrc(len(b), max(freedom, 1.0), square / len(b)))
 

@@ -63,7 +63,9 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
     few, chosen = _thin(fitted)
-    yield from contradicted_values(few, scale_certified=cell.scale_certified)
+    yield from contradicted_values(
+        few, scale_certified=cell.scale_certified, frame_aligned=cell.frame_aligned
+    )
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)

@@ -120,7 +120,7 @@ SENTENCES = {
     "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
     "{arm_m:mm.1f} mm. Unless the measurement frame is aligned with the base better than that, "
-    "add --frame estimate.",
+    "add --frame estimate; if it is, state it in the cell file: frame_aligned = true.",
     Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows{free_of_noise} "
     "({change}{with_noise}).{better}",
     Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: "
