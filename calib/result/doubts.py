@@ -15,6 +15,7 @@ from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, re
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.diagnosis.usual_mistakes import doubtful_senses
+from calib.diagnosis.variant import other_variant
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.special_cases.arm_size import measures_length
@@ -61,6 +62,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
             distance = float(np.linalg.norm(change))
             if distance > _ELSEWHERE:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
+
+    yield from other_variant(result.nominal, result.robot)
 
     few, chosen = _thin(fitted)
     yield from contradicted_values(

@@ -116,6 +116,8 @@ SENTENCES = {
     Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
     Why.TARGET_FAR: "The estimated target{named} is {far_m:mm.0f} mm from the position given: "
     "check the sign and the order of the numbers, and the tip.",
+    Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} mm, the "
+    "other lengths by {others_m:mm.2f} mm rms: no arm is made so far off. {variant}",
     Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
     "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
@@ -319,6 +321,10 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
     else:  # of other reasons the rows may be a list, and this is not used
         rows_lie = f"{values.get('rows', 0)} validation rows lie"
 
+    variant = "Does the URDF describe this type and variant of the arm?"
+    if values.get("arm"):
+        variant = f"The corrected lengths are those of a {values['arm']}: if the arm is one, use its URDF."
+
     p, falls = values.get("p", 1.0), values.get("falls", 0.0)
     words = {
         "before": f"{listed(before)} rms",
@@ -340,6 +346,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "of_station": "",
         "ranges": _ranges(values),
         "rows_lie": rows_lie,
+        "variant": variant,
         "place": f"'{values['image']}'" if "image" in values else f"row {values.get('row', 0)}",
         "better": "",
         "before_off": absurd_size(values, "before"),
