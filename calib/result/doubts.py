@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.basics.arrays import Mask
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.diagnosis.computed import computed_measurements
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, still_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
@@ -63,6 +64,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
             if distance > _ELSEWHERE:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
+    yield from computed_measurements(fitted)
     yield from other_variant(result.nominal, result.robot)
 
     few, chosen = _thin(fitted)

@@ -116,6 +116,9 @@ SENTENCES = {
     Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
     Why.TARGET_FAR: "The estimated target{named} is {far_m:mm.0f} mm from the position given: "
     "check the sign and the order of the numbers, and the tip.",
+    Why.MEASUREMENTS_COMPUTED: "Residual noise is {noise_m:mm.4f} mm per coordinate, no more than the rounding of the "
+    "table ({rounding_m:mm.4f} mm), which no instrument reaches: did the controller compute these positions from the "
+    "joint values? They say nothing about the arm then. Measure it with an instrument of its own.",
     Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} mm, the "
     "other lengths by {others_m:mm.2f} mm rms: no arm is made so far off. {variant}",
     Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
