@@ -20,6 +20,9 @@ _SMALLEST_P = 1e-6
 #: A share below this is shown as such [%].
 _SMALLEST_PERCENT = 0.01
 
+#: If the other lengths have changed by more than this, rms, it is not one exchanged part [m].
+_MANY_LENGTHS = 1e-3
+
 _OFF = (
     "The nominal robot is {given_m:mm.0f} mm rms off, far more than an uncalibrated arm, but only "
     "{error_m:mm.1f} mm if "
@@ -325,6 +328,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         rows_lie = f"{values.get('rows', 0)} validation rows lie"
 
     variant = "Does the URDF describe this type and variant of the arm?"
+    if values.get("others_m", 0.0) > _MANY_LENGTHS:
+        variant += " Or, as others are off too, do joint values and positions belong together: same row, same moment?"
     if values.get("arm"):
         variant = f"The corrected lengths are those of a {values['arm']}: if the arm is one, use its URDF."
 

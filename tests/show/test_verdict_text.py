@@ -128,3 +128,14 @@ def test_sentences_about_images_have_the_values_of_their_reasons(why):
     text = reason_text(Reason.of(why, **VALUES[why]))
     for words in SAID[why]:
         assert words in text
+
+
+@pytest.mark.parametrize(
+    ("arm", "others", "asks"),
+    [("", 2e-4, False), ("", 2e-3, True), ("UR3", 2e-3, False)],
+)
+def test_many_lengths_that_are_off_may_be_other_joint_values(arm, others, asks):
+    """One length alone is a variant's; of a variant that is known nothing is asked, it is named."""
+    values = {"joint": "elbow", "length": "d", "moved_m": 0.02, "others_m": others, "arm": arm}
+    text = reason_text(Reason.of(Why.OTHER_VARIANT, **values))
+    assert ("same moment" in text, f"a {arm}:" in text) == (asks, bool(arm))
