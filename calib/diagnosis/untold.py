@@ -29,13 +29,9 @@ from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.rigid_motion import without_rigid_motion
 
-#: Sizes that a family may have, over the typical one, each as likely before the rows are seen: of the sizes that were
-#: estimated for real arms, nearly all are from a quarter to twice the typical ones.
+#: Sizes that a family may have, over the typical one, each as likely before the rows are seen as that of the fit, where
+#: it may be absent: of the sizes that were estimated for real arms, nearly all are from a quarter to twice the typical.
 _SIZES = np.array([0.25, 0.5, 1.0, 2.0])
-
-#: Probability, before the rows are seen, that a family has the size that the fit found, or is absent as in the fit: as
-#: likely as not.
-_AS_FITTED = 0.5
 
 #: A family outside of the model is as good as absent with this share of the smallest of these sizes.
 _ABSENT = 1e-3
@@ -117,11 +113,10 @@ def untold_error(fitted: Fitted, everywhere: Samples) -> float:
 
     first = rows.evenly(_MOST_MEASURED)
     added = squares(everywhere) - squares(rows.samples.select(first))
-    before = np.array([_AS_FITTED, *np.full(len(_SIZES), (1.0 - _AS_FITTED) / len(_SIZES))])
     total = 0.0
     for i in range(len(varied)):
         of_family = [0, *range(1 + i * len(_SIZES), 1 + (i + 1) * len(_SIZES))]
-        weights = before * np.exp(likelihood[of_family] - np.max(likelihood[of_family]))
+        weights = np.exp(likelihood[of_family] - np.max(likelihood[of_family]))
         mean_added = float(weights @ added[of_family] / np.sum(weights))
         total += max(mean_added - added[0], 0.0)
     return float(np.sqrt(total))
