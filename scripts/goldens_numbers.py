@@ -30,6 +30,8 @@ IGNORED = {
     "schema",
     "measured",
     "hash",
+    "run",
+    "checksums",
 }
 
 #: Endings of files whose contents are kept; of pages only that they were written.

@@ -22,6 +22,7 @@ from calib.verbs.compensate.robot_program import Program
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.plan import plan
 from calib.verbs.simulate.scenario import Scenario, Simulated, simulate
+from tests.parts import of_an_earlier_version
 
 ELBOW, LIFT, WRIST_1, WRIST_2 = (
     "elbow_joint",
@@ -120,7 +121,7 @@ def test_a_file_of_an_earlier_version_has_no_coupling(ur3: Robot, tmp_path: Path
     table = calib.Measurements.read(calib.example.paper_measurements(), ur3.joint_names)
     made = calibrate(ur3, table, model="zeros", validate=False)
     path = made.write_json(tmp_path / "result.json")
-    stored = json.loads(path.read_text(encoding="utf-8"))
+    stored = of_an_earlier_version(json.loads(path.read_text(encoding="utf-8")))
     assert stored["robot"].pop("coupling") == []
     path.write_text(json.dumps(stored), encoding="utf-8")
     assert read_result(path).nominal == ur3

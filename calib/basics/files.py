@@ -8,13 +8,19 @@ import io
 import os
 import secrets
 import stat
-from collections.abc import Iterable
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 from calib.errors import FileError
 
 #: Bytes read from pipes, by device and inode: a pipe can be read only once, and a command reads a table repeatedly.
 _PIPED: dict[tuple[int, int], bytes] = {}
+
+#: No process writes a file for so long [s]: a day.
+_OLD = 86_400.0
 
 
 def _check_path(path: object) -> None:
@@ -61,7 +67,7 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
     """Write a file so that it holds all of ``data`` or stays as it was.
 
     The bytes go into a file beside it, which then takes its name. A symbolic link is followed and stays one. A file
-    that is overwritten keeps its permissions.
+    that is overwritten keeps its permissions. Files that killed processes left beside it in this way are removed.
 
     Args:
         path: The file.
@@ -76,12 +82,19 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
     """
     check_writable(path, overwrite=overwrite)
     target = Path(path).resolve()
+    _remove_leftovers(target.parent)
     temporary = target.with_name(f".calib-{secrets.token_hex(8)}.tmp")
     try:
-        temporary.write_bytes(data)
-        if target.exists():
-            temporary.chmod(stat.S_IMODE(target.stat().st_mode))
-        temporary.replace(target)
+        with contextlib.ExitStack() as stack:
+            temporary.touch()
+            with contextlib.suppress(
+                OSError
+            ):  # a file system without locks, where no leftover is removed
+                stack.enter_context(_held(temporary, wait=True))
+            temporary.write_bytes(data)
+            if target.exists():
+                temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+            temporary.replace(target)
     except OSError as error:
         raise FileError(
             f"'{path}' cannot be written: {_reason(error)}; choose another folder."
@@ -90,6 +103,33 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
         with contextlib.suppress(OSError):
             temporary.unlink()
     return Path(path)
+
+
+@cache
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what processes left in a folder that were killed while they wrote; once in a process for each folder."""
+    for path in folder.glob(".calib-*.tmp"):
+        with contextlib.suppress(OSError), _held(path, wait=False):
+            path.unlink()
+
+
+@contextlib.contextmanager
+def _held(path: Path, *, wait: bool) -> Iterator[None]:
+    """Hold a temporary as this process's own, by a lock that ends with the process, however that ends.
+
+    OSError if another process holds it, unless this one is to ``wait``. Windows has no such locks: there a file that is
+    not old counts as held.
+    """
+    if sys.platform == "win32":
+        if not wait and time.time() - path.stat().st_mtime < _OLD:
+            raise PermissionError(f"{path} may be another process's")
+        yield
+        return
+    import fcntl
+
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:

@@ -8,6 +8,7 @@ path, or one that ends in a dot, puts the keys of an attribute that is a datacla
 from __future__ import annotations
 
 import enum
+import hashlib
 import json
 import math
 import os
@@ -100,6 +101,32 @@ def json_bytes(table: Json) -> bytes:
         lines.append(f" {json.dumps(key)}: {text}")
     # A byte of a file's name that is not UTF-8 is written as JSON's own escape.
     return ("{\n" + ",\n".join(lines) + "\n}\n").encode("utf-8", "backslashreplace")
+
+
+def digest(value: Any) -> str:  # noqa: ANN401  any value
+    """Return the SHA-256 of what a value (see `plain`) states, whatever the order of keys, the layout and line ends.
+
+    Numbers count by their value: 2, 2.0 and 20e-1 are the same. So a value has the digest that it has after it was
+    written, read, and written again by another program that keeps all digits.
+
+    Returns:
+        64 hexadecimal digits.
+
+    Example:
+        >>> digest({"a": 1.0, "b": float("nan")}) == digest({"b": None, "a": 1})
+        True
+    """
+    text = json.dumps(_with_whole_numbers(plain(value)), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _with_whole_numbers(value: Any) -> Any:  # noqa: ANN401  any JSON
+    """Return JSON with floats that are whole numbers as integers, as JavaScript and jq write them."""
+    if isinstance(value, dict):
+        return {key: _with_whole_numbers(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_with_whole_numbers(entry) for entry in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401  any value

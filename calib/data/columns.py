@@ -60,6 +60,12 @@ WORD_COLUMNS: Mapping[str, tuple[str, str]] = {
 #: Ending of the name of the column of a joint's torque, after the joint's name.
 TORQUE = ".torque"
 
+#: Ending of the name of the column of a joint's last move, after the joint's name.
+MOVE = ".move"
+
+#: The column of numbers that sort the rows as they were measured.
+ORDER = "order"
+
 #: The name that ``--columns`` maps a column to so that it is not read.
 IGNORE = "-"
 
@@ -86,7 +92,7 @@ def reserved() -> tuple[str, ...]:
     """Return the names of columns that no joint can have: words, noise, readings, positions."""
     noise = [*(unit.sigma_name for unit in RESIDUAL_UNITS.values()), *COVARIANCE]
     words = [column for column, _ in WORD_COLUMNS.values()]
-    return ("row", "point", *words, *noise, *registry.readings(), *POINT, *BOARD_POINT)
+    return ("row", "point", ORDER, *words, *noise, *registry.readings(), *POINT, *BOARD_POINT)
 
 
 def list_columns(table: Table) -> str:

@@ -15,6 +15,8 @@ from calib.data.columns import (
     COMMON,
     COVARIANCE,
     EXPECTED,
+    MOVE,
+    ORDER,
     ORIENTATION,
     POINT,
     STATUS,
@@ -53,8 +55,8 @@ class Layout:
     words: Named
     #: Columns whose words make the group's name, in the order of the table.
     groups: Columns
-    #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``points``,
-    #: ``board_points``, ``orientation`` (as many as its convention has), the noise of each unit (``sigma``,
+    #: Columns of numbers that are used: ``joints`` in the order of the joints, ``torques``, ``moves``, ``order``,
+    #: ``points``, ``board_points``, ``orientation`` (as many as its convention has), the noise of each unit (``sigma``,
     #: ``sigma_angle``), ``covariances``, 36 of them or none, and each reading of a kind by its name.
     blocks: Mapping[str, Columns]
     #: Kinds of the rows; more than one only with a column ``kind``.
@@ -213,17 +215,25 @@ def _blocks(
         what = "a covariance, in SI units"
         covariances = tuple(with_unit(table, named[name], None, what) for name in COVARIANCE)
 
-    # Torques of the joints that have a column, in the order of the joints.
-    torques = []
+    # Torques and last moves of the joints that have such a column, in the order of the joints.
+    torques, moves = [], []
     for joint in joints:
-        torque = named.get(joint.name + TORQUE)
-        if torque is None or torque in joints:
-            continue
-        quantity: Quantity = "force" if slides(joint) else "torque"
         what = f"{'prismatic' if slides(joint) else 'revolute'} joint '{joint.name}'"
-        torques.append(with_unit(table, torque, quantity, what))
+        torque = named.get(joint.name + TORQUE)
+        if torque is not None and torque not in joints:
+            quantity: Quantity = "force" if slides(joint) else "torque"
+            torques.append(with_unit(table, torque, quantity, what))
+        move = named.get(joint.name + MOVE)
+        if move is not None and move not in joints:
+            quantity = "length" if slides(joint) else "angle"
+            moves.append(with_unit(table, move, quantity, what))
 
-    blocks: dict[str, Columns] = {"joints": joints, "torques": tuple(torques)}
+    blocks: dict[str, Columns] = {
+        "joints": joints,
+        "torques": tuple(torques),
+        "moves": tuple(moves),
+        "order": (named[ORDER],) if ORDER in named and named[ORDER] not in joints else (),
+    }
     # Poses with a covariance have no other noise.
     with_noise = [kind for kind in present if not (covariances and kind.may_have_covariance)]
     for symbol, unit in RESIDUAL_UNITS.items():
@@ -279,6 +289,7 @@ def _joints(
     taken = {*reserved(), *ORIENTATION}
     if joint_names is None:
         taken.update(*(row.columns for row in conventions_of(table, named, (), options)))
+        taken.update(name + MOVE for name in named)
     available = {name: column for name, column in named.items() if name not in taken}
     if joint_names is None:
         joint_names = []

@@ -40,6 +40,7 @@ from calib.data.columns import (
     BOARD_POINT,
     COMMON,
     COVARIANCE,
+    MOVE,
     POINT,
     TORQUE,
     WORD_COLUMNS,
@@ -53,9 +54,19 @@ from calib.data.points_file import read_points
 from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import FARTHEST, to_quaternions
+from calib.numerics.moves import SAME_POSE, last_moves
 
 #: Attributes that are arrays with an entry a row.
-_ARRAYS = ("joints", "points", "rotations", "distances", "torques", "board_points", "covariances")
+_ARRAYS = (
+    "joints",
+    "points",
+    "rotations",
+    "distances",
+    "torques",
+    "board_points",
+    "covariances",
+    "moves",
+)
 
 #: Attributes that map names to arrays with an entry a row.
 _MAPPINGS = ("sigma", "readings")
@@ -138,6 +149,9 @@ class Measurements(Value):
     #: the true orientation to the measured one [rad], along the measurement frame's axes; NaN in rows without one.
     #: None: no row has one.
     covariances: Array | None = None
+    #: Last move of each joint before the row, shape (N, n), [rad] or [m], see `calib.numerics.moves.last_moves`; 0
+    #: where it is not known. None: the rows are in the order of their measurement, and their joint values tell.
+    moves: Array | None = None
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -172,6 +186,12 @@ class Measurements(Value):
             if array is None and name in ("joints", "points"):
                 array = read_only(np.full((count, *tail), np.nan))
             fill(name, array)
+        moves = last_moves(self.joints) if self.moves is None else self.moves
+        every_row = np.ones(count, dtype=np.bool_)
+        fill(
+            "moves",
+            checked_numbers(labels, "moves", moves, (len(self.joint_names),), every_row, _REACH),
+        )
         if self.rotations is not None:
             check_rotations(labels, self.rotations, is_oriented)
         if self.torques is not None:
@@ -395,6 +415,15 @@ class Measurements(Value):
             ArgumentError: The names are not a sequence of texts.
             MeasurementError: The table lacks one of the joints.
         """
+        return read_only(self.joints[:, self._columns_of_joints(names)])
+
+    def moves_for(self, names: Sequence[str]) -> Array:
+        """Return the last moves of joints before the rows, as `joints_for` their values: shape (N, m), read-only."""
+        assert self.moves is not None
+        return read_only(self.moves[:, self._columns_of_joints(names)])
+
+    def _columns_of_joints(self, names: Sequence[str]) -> list[int]:
+        """Return the column of each joint, from 0; MeasurementError if the table lacks one."""
         check_names("names", names)
         column = {name: i for i, name in enumerate(self.joint_names)}
         missing = [name for name in names if name not in column]
@@ -403,7 +432,7 @@ class Measurements(Value):
                 f"{self.source or 'the measurements'}: no values of the joints {choices(missing)}. "
                 f"The joints there are: {choices(self.joint_names, limit=30)}."
             )
-        return read_only(self.joints[:, [column[name] for name in names]])
+        return [column[name] for name in names]
 
     # Selections
 
@@ -441,7 +470,7 @@ class Measurements(Value):
         Returns:
             The rows; ``copies`` has the row numbers of those that were left out.
         """
-        given = [getattr(self, name) for name in _ARRAYS if name != "torques"]
+        given = [getattr(self, name) for name in _ARRAYS if name not in ("torques", "moves")]
         arrays = [*given, *self.readings.values()]
         numbers = np.hstack([a.reshape(len(self), -1) for a in arrays if a is not None])
         seen = set()
@@ -487,9 +516,17 @@ class Measurements(Value):
 
     def _number_columns(self) -> Iterator[tuple[str, Quantity | None, Array]]:
         """Yield name, quantity (None: no unit) and values, in SI units, of the columns of numbers to write."""
+        # Moves that are not those between the rows, as in some of the rows of a table.
+        moves = self.moves
+        if moves is not None and np.allclose(
+            moves, last_moves(self.joints), rtol=0.0, atol=SAME_POSE
+        ):
+            moves = None
         for i, name in enumerate(self.joint_names):
             slides = name in self.prismatic
             yield name, "length" if slides else "angle", self.joints[:, i]
+            if moves is not None:
+                yield name + MOVE, "length" if slides else "angle", moves[:, i]
             if self.torques is not None:
                 yield name + TORQUE, "force" if slides else "torque", self.torques[:, i]
         for names, values in ((POINT, self.points), (BOARD_POINT, self.board_points)):

@@ -14,12 +14,13 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
-from calib.data.columns import POINT, SETS, STATUS, TORQUE, WORD_COLUMNS
+from calib.data.columns import MOVE, POINT, SETS, STATUS, TORQUE, WORD_COLUMNS
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
 from calib.data.plausibility import check_units
 from calib.errors import MeasurementError, choices
+from calib.numerics.moves import last_moves
 
 #: Numbers of a layout's blocks by name, shape (rows, columns) each.
 Blocks = Mapping[str, Array]
@@ -43,7 +44,16 @@ _NO_COMMAND = "no command: "
 _QUOTED = 80
 
 #: Blocks of several columns; the others have one.
-_WIDE = ("joints", "torques", "points", "board_points", "orientation", "covariances")
+_WIDE = (
+    "joints",
+    "torques",
+    "moves",
+    "order",
+    "points",
+    "board_points",
+    "orientation",
+    "covariances",
+)
 
 
 def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
@@ -113,6 +123,16 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         si[name] = block[measured] * to_si
     if points is not None:
         si["points"] = points[measured]
+    moves: Array | None = None
+    if "joints" in blocks:
+        # The robot was at unmeasured rows too: a move is from the row before, measured or not.
+        visited = blocks["joints"] * [column.to_si for column in layout.blocks["joints"]]
+        order = blocks["order"][:, 0] if "order" in blocks else None
+        moves = last_moves(visited, order)[measured]
+        for column, stated in zip(
+            layout.blocks.get("moves", ()), si.get("moves", np.empty((0, 0))).T, strict=True
+        ):
+            moves[:, _joint_names(layout).index(column.name.removesuffix(MOVE))] = stated
     words_of_rows = {}
     for attribute, (column_name, _) in WORD_COLUMNS.items():
         words_of_rows[attribute] = list(compress(words.get(column_name, ()), measured))
@@ -123,6 +143,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         **_arrays(layout, si, int(measured.sum())),
         "units": _units(layout, elsewhere),
         **words_of_rows,
+        "moves": moves,
         "ignored": layout.ignored,
         "kinds": kinds[measured].tolist(),
         "rows": list(compress(row_numbers, measured)),
@@ -155,7 +176,15 @@ def _used_blocks(kind: Kind, blocks: Collection[str]) -> set[str]:
     if kind.may_have_covariance and "covariances" in blocks:
         noise = {"covariances"}
     designed = {"board_points"} if kind.is_image else set()
-    return {"joints", "torques", *designed, *noise, *_measured_blocks(kind, blocks)}
+    return {
+        "joints",
+        "torques",
+        "moves",
+        "order",
+        *designed,
+        *noise,
+        *_measured_blocks(kind, blocks),
+    }
 
 
 def _used_numbers(table: Table, layout: Layout, kinds: Words) -> dict[str, Array]:
@@ -264,6 +293,11 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
                 table.fail(i, column, what, layout.words.get("row"))
 
 
+def _joint_names(layout: Layout) -> list[str]:
+    """Return the names of the joints, in the order of their columns."""
+    return [column.name for column in layout.blocks["joints"]]
+
+
 def _units(layout: Layout, elsewhere: Points | None) -> dict[str, str]:
     """Return the symbols of the units of joint values and of points, in the table or a list, by the column's name."""
     columns = (*layout.blocks["joints"], *layout.blocks.get("points", ()))
@@ -275,7 +309,7 @@ def _units(layout: Layout, elsewhere: Points | None) -> dict[str, str]:
 
 def _arrays(layout: Layout, si: Blocks, count: int) -> dict[str, Any]:
     """Return joints and arrays as arguments of `Measurements`, from blocks of ``count`` measured rows (SI units)."""
-    joint_names = [column.name for column in layout.blocks["joints"]]
+    joint_names = _joint_names(layout)
     torques: Array | None = None
     if "torques" in si:  # NaN of joints without a column
         driven = [column.name.removesuffix(TORQUE) for column in layout.blocks["torques"]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -48,13 +49,14 @@ def judge(evidence: Evidence) -> Verdict:
 
     # Errors that no arm has: the input must be wrong, and nothing else about such a fit means anything.
     far = _is_absurd(before) and evidence.largest > _TOO_FAR
-    noisy = {f"noise_{unit}": std for unit, std in evidence.noise.items() if _exceeds(std, unit)}
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
-    absurd = _applicable(
-        (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest)),
-        (bool(noisy), Reason.of(Why.NOISE_ABSURD, **noisy)),
-        (turned, Reason.of(Why.ORIENTATION_ABSURD, after=after)),
-    )
+    absurd = [
+        *_applicable(
+            (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest))
+        ),
+        *absurd_noise(evidence.noise),
+        *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
+    ]
     if absurd:
         return Verdict(NO, (absurd[0],))
 
@@ -94,6 +96,16 @@ def judge(evidence: Evidence) -> Verdict:
     return Verdict(use, reasons)
 
 
+def absurd_noise(noise: Mapping[str, float]) -> list[Reason]:
+    """List the reason that no arm or instrument has such noise, which needs no held-out rows; empty if one may have it.
+
+    Args:
+        noise: Standard deviation of one scalar as estimated, by the symbol of its unit [m], [rad], [px].
+    """
+    absurd = {f"noise_{unit}": std for unit, std in noise.items() if _exceeds(std, unit)}
+    return [Reason.of(Why.NOISE_ABSURD, **absurd)] if absurd else []
+
+
 def _against(evidence: Evidence) -> list[Reason]:
     """List the reasons not to use the corrected robot; empty if there is none.
 
@@ -101,6 +113,7 @@ def _against(evidence: Evidence) -> list[Reason]:
     fall.
     """
     unproven, at_noise_level = evidence.unproven, evidence.at_noise_level
+    validation = evidence.validation
     sufficient = evidence.noise_is_plausible and not evidence.few_for_full_model
     nothing = unproven and at_noise_level and sufficient
     few = evidence.few or (at_noise_level and evidence.few_for_full_model)
@@ -111,12 +124,16 @@ def _against(evidence: Evidence) -> list[Reason]:
     much_expected = evidence.unpredictable and evidence.remains_everywhere > REMAINS
     elsewhere = much_expected and not good_where_measured
 
+    # Unless validation rows show that the corrected URDF is better.
+    shown = validation.exist and validation.fall and not validation.fall_little
+    hopeless = unproven and _has_better(evidence) and not (shown and evidence.gain > 0.0)
+
     both = _both(evidence)
     worse = replace(_many_outliers(evidence), why=Why.WORSE_WITH_OUTLIERS)
     first = _applicable(
         (nothing, Reason.of(Why.NOTHING_TO_GAIN, before=evidence.before)),
         (_is_absurd(evidence.after), Reason.of(Why.STILL_FAR_OFF, **both)),
-        (unproven and _has_better(evidence), _better(Why.NO_URDF_HOLDS, evidence)),
+        (hopeless, _better(Why.NO_URDF_HOLDS, evidence)),
         (too_few, Reason.of(Why.TOO_FEW, **both | counts)),
         (evidence.gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
         (evidence.worse_with_outliers, worse),
@@ -124,7 +141,6 @@ def _against(evidence: Evidence) -> list[Reason]:
         (elsewhere, Reason.of(Why.UNKNOWN_ELSEWHERE, **_over_limits(evidence))),
     )[:1]
 
-    validation = evidence.validation
     fails = validation.exist and not validation.fall
     no_better = Reason.of(Why.VALIDATION_NO_BETTER, **validation.values)
     wrong_input = _doubts(evidence, Role.WRONG_INPUT)

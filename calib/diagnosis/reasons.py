@@ -8,6 +8,7 @@ from enum import Enum, auto
 from typing import Any
 
 from calib.basics.values import keep_read_only
+from calib.errors import ArgumentError, choices
 from calib.numerics.errors import Errors
 
 #: Verdict that the corrected robot is better, which held-out rows prove.
@@ -18,6 +19,9 @@ CARE = "use with care"
 
 #: Verdict that it is not better, or that the input is wrong.
 NO = "do not use"
+
+#: All verdicts; there is no other word.
+VERDICTS = (USE, CARE, NO)
 
 
 class Role(Enum):
@@ -159,6 +163,8 @@ class Why(str, Enum):
     VALIDATION_GAIN = "validation_gain", Role.INFORMATION
     LARGER_MODEL = "larger_model", Role.INFORMATION
     LARGER_NO_CLOSER = "larger_no_closer", Role.INFORMATION
+    STOPS_SHORT = "stops_short", Role.INFORMATION
+    CREEPS = "creeps", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
@@ -209,9 +215,22 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Verdict on the corrected robot, or on the non-geometric model."""
+    """Verdict on the corrected robot, or on the non-geometric model; true if it is ``use``, without reserve.
+
+    Raises:
+        ArgumentError: Its word is not one of `VERDICTS`.
+    """
 
     #: ``"use"``, ``"use with care"`` or ``"do not use"``
     use: str
     #: The weightiest first
     reasons: tuple[Reason, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse any other word: code that asks only for ``do not use`` would take it for a good verdict."""
+        if self.use not in VERDICTS:
+            raise ArgumentError(f"A verdict is {choices(VERDICTS)}, not {self.use!r}.")
+
+    def __bool__(self) -> bool:
+        """True for ``use`` alone; a result without a verdict has None, which is false too."""
+        return self.use == USE

@@ -124,7 +124,7 @@ def untold_error(fitted: Fitted, everywhere: Samples) -> float:
 
 def _families() -> list[str]:
     """Return the names of the families whose errors depend on joint values alone."""
-    return [name for name, family in FAMILIES.items() if not family.loaded]
+    return [name for name, family in FAMILIES.items() if not (family.loaded or family.moved)]
 
 
 def _further_model(fitted: Fitted, names: list[str]) -> ErrorModel:

@@ -6,10 +6,14 @@ A family of the *joints' state* moves a joint about, or along, its own axis by a
     gain          dq = g q
     eccentricity  dq = s sin q + c cos q       the encoder's once-per-turn error
     compliance    dq = c tau                   tau: the load on the joint, by gravity and payload, or measured
+    harmonic_2    dq = s sin 2q + c cos 2q     the error twice per turn, such as of a strain wave gear
+    lost_motion   dq = -b sign(m)              backlash and friction: the joint stops short of its reading
+    creep         dq = -k m                    what is still to come after a move, or a reading that is late
     gravity       dq = sum_l c_l z . ((p_l - p) x g / |g|)     p_l: the origins of later joints and the tip
 
 Gravity is compliance without known masses: the links' masses are assumed at the points of the chain. The joint's axis
-is z through p, of the nominal robot, and c_l is what a mass at p_l bends it by, per metre of its lever arm.
+is z through p, of the nominal robot, and c_l is what a mass at p_l bends it by, per metre of its lever arm. m is the
+last move of the joint before the row (`calib.numerics.moves`); where it is not known it is 0, and so is the error.
 
 No URDF can hold these. Source: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6. `register` adds a
 family from outside.
@@ -164,6 +168,15 @@ class JointState:
     loads: Array | None = None
     #: Name of the point of the chain that carries a mass: a joint, for its origin, or one of `ENDS`.
     point: str = ""
+    #: Shape (N, m), last move of each measured joint, [rad] or [m], 0 where not known; None: known nowhere.
+    moves: Array | None = None
+
+    @property
+    def last_move(self) -> Array:
+        """The joint's own last move before each state, shape (N,), [rad] or [m]; 0 where it is not known."""
+        if self.moves is None:
+            return np.zeros(len(self.values))
+        return self.moves[:, self.joint_names.index(self.joint)]
 
     @property
     def q(self) -> Array:
@@ -201,6 +214,8 @@ class Factor(Value):
     slope: Callable[[JointState], Array] | None
     #: True if it needs the load on the joints.
     loaded: bool = False
+    #: True if it depends on the joint's last move; else that is not told.
+    moved: bool = False
     #: True if there is one for each later point of the chain, ``<joint>.<name>[<point>]``.
     later: bool = False
     #: The name of that point; "" if ``later`` is False or the point is not chosen yet.
@@ -237,6 +252,9 @@ class Family(Value):
     positive: bool = False
     #: A sliding joint's typical error over that of a turning one.
     lever: float = 1.0
+    #: Logarithm of how much rarer it is than others: what a model must win by it, in log-likelihood, beyond their cost.
+    #: A rare family is offered, but is not part of the first, largest fit, which would explain outliers by it.
+    rarity: float = 0.0
     #: Description of one of its errors, for the documentation: ``"the relative error of a gear ratio"``.
     meaning: str = ""
 
@@ -256,6 +274,11 @@ class Family(Value):
         """True if it needs the load on the joints."""
         return any(factor.loaded for factor in self.factors)
 
+    @property
+    def moved(self) -> bool:
+        """True if it depends on the joints' last moves, and so on the order of the rows."""
+        return any(factor.moved for factor in self.factors)
+
 
 #: The family of lengths of the geometry [m].
 LENGTH = "length"
@@ -269,8 +292,22 @@ ZERO = "zero"
 _GAIN = Factor("gain", lambda state: state.q, lambda state: np.ones_like(state.q))
 _SIN = Factor("sin", lambda state: np.sin(state.q), lambda state: np.cos(state.q))
 _COS = Factor("cos", lambda state: np.cos(state.q), lambda state: -np.sin(state.q))
+_SIN_2 = Factor(
+    "sin_2", lambda state: np.sin(2.0 * state.q), lambda state: 2.0 * np.cos(2.0 * state.q)
+)
+_COS_2 = Factor(
+    "cos_2", lambda state: np.cos(2.0 * state.q), lambda state: -2.0 * np.sin(2.0 * state.q)
+)
+# A command that is corrected by a fraction of a degree changes neither the sign nor much of the length of a move.
+_LOST_MOTION = Factor(
+    "lost_motion", lambda state: -np.sign(state.last_move), slope=None, moved=True
+)
+_CREEP = Factor("creep", lambda state: -state.last_move, slope=None, moved=True)
 _COMPLIANCE = Factor("compliance", lambda state: state.load, slope=None, loaded=True)
 _GRAVITY = Factor("gravity", lambda state: state.lever, slope=None, loaded=True, later=True)
+
+#: Rarity of families that few arms need: odds of 20 to 1.
+_RARE = float(np.log(20.0))
 
 _ROWS = (
     Family(LENGTH, M, prior=3e-3, typical=0.3e-3, meaning="an error in length"),
@@ -292,6 +329,35 @@ _ROWS = (
         typical=0.5e-3,
         factors=(_SIN, _COS),
         meaning="an encoder's once-per-turn error",
+    ),
+    Family(
+        "harmonic_2",
+        RAD,
+        prior=1e-3,
+        typical=0.2e-3,
+        factors=(_SIN_2, _COS_2),
+        rarity=_RARE,
+        meaning="an encoder's or gear's twice-per-turn error",
+    ),
+    Family(
+        "lost_motion",
+        RAD,
+        prior=0.3e-3,
+        typical=0.2e-3,
+        factors=(_LOST_MOTION,),
+        rarity=_RARE,
+        sliding=M,
+        meaning="the angle by which a joint stops short after a move, by the direction it came from",
+    ),
+    Family(
+        "creep",
+        ONE,
+        prior=1e-3,
+        typical=0.3e-3,
+        factors=(_CREEP,),
+        rarity=_RARE,
+        sliding=M_PER_M,
+        meaning="the share of its last move by which a joint is short",
     ),
     Family(
         "compliance",
@@ -421,7 +487,8 @@ def _called(factor: Factor, name: str, function: Callable[[JointState], Array], 
     count, joints = q.shape
     loads = np.random.default_rng(1).uniform(0.5, 1.5, (count, joints, joints + 3))
     point = "tip" if factor.later else ""
-    state = JointState(_TRIAL_JOINTS[0], _TRIAL_JOINTS, q, _TRIAL_JOINTS, loads, point)
+    moves = np.random.default_rng(2).uniform(-1.0, 1.0, q.shape)
+    state = JointState(_TRIAL_JOINTS[0], _TRIAL_JOINTS, q, _TRIAL_JOINTS, loads, point, moves)
     where = f"The factor '{factor.name}': '{name}'"
     must = f"it must return an array of shape (N,), one number for each of the N = {count} states"
     try:

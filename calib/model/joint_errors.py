@@ -107,6 +107,7 @@ def joint_displacements(
     terms: Sequence[Parameter],
     q: Array,
     load: Array | None,
+    moves: Array | None = None,
 ) -> Array:
     """Return how far a unit of each term moves each joint of the chain.
 
@@ -115,6 +116,8 @@ def joint_displacements(
         terms: Terms of an error model that have a ``factor``.
         q: Shape (N, m), readings of the measured joints, [rad] or [m].
         load: Shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
+        moves: Shape (N, m), last move of each measured joint's reading, [rad] or [m], 0 where it is not known; None:
+            known nowhere.
 
     Returns:
         Shape (N, n, len(terms)), [rad or m] per unit of the term.
@@ -124,6 +127,7 @@ def joint_displacements(
     """
     chain = tuple(joint.name for joint in robot.joints)
     values = robot.input_values(q)
+    moved_values = None if moves is None else values - robot.input_values(q - moves)
     moved = np.zeros((len(q), len(chain), len(terms)))
     for k, term in enumerate(terms):
         assert term.factor is not None
@@ -131,7 +135,15 @@ def joint_displacements(
             driven: Array = np.eye(len(chain))[chain.index(term.place)]
         else:
             driven = robot.mimic_matrix[:, robot.joint_names.index(term.place)]
-        state = JointState(term.place, robot.joint_names, values, chain, load, term.factor.point)
+        state = JointState(
+            joint=term.place,
+            joint_names=robot.joint_names,
+            values=values,
+            chain=chain,
+            loads=load,
+            point=term.factor.point,
+            moves=moved_values if term.factor.moved else None,
+        )
         of_joint = term.factor.value(state)
         moved[:, :, k] = of_joint[:, None] * driven
     return moved

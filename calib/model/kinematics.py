@@ -37,18 +37,22 @@ class Samples(Value):
     load: Array | None = None
     #: Shape (N, c), internals of the instruments before the fit, see `calib.model.internals`; None if they have none.
     internals: Array | None = None
+    #: Shape (N, m), last move of each measured joint before the sample, [rad] or [m], see `calib.numerics.moves`; 0
+    #: where it is not known; None: known nowhere.
+    moves: Array | None = None
 
     @classmethod
-    def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:
+    def at(cls, q: ArrayLike, load: Array | None = None, moves: Array | None = None) -> Samples:
         """Return samples of the first target, seen from the first frame.
 
         Args:
             q: Shape (N, m) or (m,), [rad] or [m], in the order of `Robot.joint_names`.
             load: Shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
+            moves: Shape (N, m), last move of each joint, [rad] or [m]; None if not known.
         """
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         first = np.zeros(len(values), dtype=np.int_)
-        return cls(values, first, first, load)
+        return cls(values, first, first, load, moves=moves)
 
     def __len__(self) -> int:
         """The number N of samples."""
@@ -58,7 +62,10 @@ class Samples(Value):
         """Return some of the N samples: a mask, shape (N,), their indices, or a slice."""
         load = None if self.load is None else self.load[chosen]
         internals = None if self.internals is None else self.internals[chosen]
-        return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load, internals)
+        moves = None if self.moves is None else self.moves[chosen]
+        return Samples(
+            self.q[chosen], self.frame[chosen], self.target[chosen], load, internals, moves
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,7 +214,7 @@ class Kinematics(Value):
         moved = np.zeros((*values.shape, len(columns)))
         if len(columns):
             terms = [self.model.terms[t] for t in joint_terms]
-            moved = joint_displacements(self.robot, terms, samples.q, samples.load)
+            moved = joint_displacements(self.robot, terms, samples.q, samples.load, samples.moves)
             if self.model.terms is not self.model.parameters:  # else each moves its own
                 moved = moved @ mixing[:, columns]
             values = values + moved @ x[columns]

@@ -18,7 +18,8 @@ from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import outside
-from calib.diagnosis.reasons import NO, Verdict, Why
+from calib.diagnosis.judge import absurd_noise
+from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.selection.candidates import alternative_models, mark_chosen
@@ -74,8 +75,8 @@ def calibrate(
 
     Returns:
         The calibration: parameters with covariance, corrected robot, frames and targets, and residuals of all rows;
-        with a verdict if it was cross-validated, a usual mistake explains the measurements better, or a measurement
-        frame was sought and not found.
+        with a verdict if it was cross-validated, a usual mistake explains the measurements better, a measurement
+        frame was sought and not found, or the noise is beyond any arm and instrument.
 
     Raises:
         ArgumentError: Robot, measurements or cell are of another type.
@@ -92,12 +93,18 @@ def calibrate(
     fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
 
     if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
-        result = _assemble(measured, fits)
-        verdict = Verdict(NO, (fits.mistake,))
-        return replace(result, geometry=replace(result.geometry, verdict=verdict))
+        return _with_verdict_against(_assemble(measured, fits), fits.mistake)
     if not validate:
-        return _assemble(measured, fits)
+        result = _assemble(measured, fits)
+        absurd = absurd_noise(result.noise.sigma)
+        return _with_verdict_against(result, absurd[0]) if absurd else result
     return _assemble_validated(measured, fits, progress)
+
+
+def _with_verdict_against(result: Calibration, why: Reason) -> Calibration:
+    """Return a result with the verdict ``do not use`` on its geometry, for a reason that needs no held-out rows."""
+    verdict = Verdict(NO, (why,))
+    return replace(result, geometry=replace(result.geometry, verdict=verdict))
 
 
 def _assemble_validated(

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.basics.arguments import check_path, check_type
+from calib.basics.arguments import check_path, check_type, finite_numbers
 from calib.basics.arrays import Array, rigid_inverse
+from calib.basics.json_files import digest
 from calib.basics.values import Value, shown_by
 from calib.data.cell import Cell
 from calib.data.record import BLANK, Record
@@ -25,6 +26,7 @@ from calib.fit.registration.setup import Setup
 from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.moves import last_moves
 from calib.result.fitted_model import FittedModel, NonGeometric, ParameterEstimate
 from calib.result.joint_zeros import JointZeros
 from calib.result.parts import FitInMemory, Method, Noise, ResultRows, Source, Trust
@@ -39,8 +41,11 @@ _BETWEEN = 73
 #: Origins of one robot differ by rounding [m; rotation matrices: 1].
 _SAME = 1e-9
 
+#: Digits of a run's id: by chance two of a million runs share one with a probability of 0.2 %.
+_RUN_DIGITS = 12
+
 #: Arguments of a prediction: where it is made, and with which model.
-_WHERE = ("target", "group", "non_geometric")
+_WHERE = ("target", "group", "non_geometric", "moves")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -63,12 +68,13 @@ class Calibration(Value):
         fit              measurements and solved problem; fit_in_memory: the same, None if read from a file
 
     At hand without their part: ``verdict``, ``errors``, ``cross_validation``, ``new_point``, ``parameters``,
-    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``.
+    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``. ``run`` is the id that all files of the result
+    carry.
     """
 
     #: The robot as given
     nominal: Robot
-    #: The calibrated robot: its URDF corrected by the geometry
+    #: The calibrated robot: its URDF corrected by the geometry, with the run, and a verdict ``do not use``, as comments
     robot: Robot
     #: Frames and targets of the nominal robot: as given, or registered
     nominal_setup: Setup
@@ -94,6 +100,10 @@ class Calibration(Value):
     record: Record = BLANK
     #: Measurements and solved problem; None if the result was read from a file
     fit_in_memory: FitInMemory | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        """State run and verdict in the calibrated robot's URDF, whoever writes it."""
+        object.__setattr__(self, "robot", self._described(self.robot))
 
     @staticmethod
     def read_json(path: str | Path) -> Calibration:
@@ -231,6 +241,21 @@ class Calibration(Value):
         return self.fit_in_memory
 
     @property
+    def run(self) -> str:
+        """The id of the run, 12 hexadecimal digits, which its URDF, result file, report and pages carry.
+
+        It is made of the nominal URDF, the chain, the table and the fitted models. So the same run made again has the
+        same id if its numbers are the same to the last digit.
+        """
+        computed: list[Any] = [self.nominal.urdf.sha256, self.nominal.base, self.nominal.tip]
+        computed.append(self.source.sha256)
+        for model in (self.geometry, self.non_geometric):
+            if model is not None:
+                setup = model.setup
+                computed += [model.model.name, model.x, setup.T_frame_base, setup.T_tip_target]
+        return digest(computed)[:_RUN_DIGITS]
+
+    @property
     def verdict(self) -> Verdict | None:
         """The verdict on the geometry; None without cross-validation, unless the input is wrong."""
         return self.geometry.verdict
@@ -323,7 +348,8 @@ class Calibration(Value):
             The verdict on the non-geometric model if that is asked for and has one, else that on the geometry; None if
             there is none, as without cross-validation.
         """
-        return self.part(non_geometric=non_geometric).verdict or self.verdict
+        verdict = self.part(non_geometric=non_geometric).verdict
+        return self.verdict if verdict is None else verdict
 
     def part(self, *, non_geometric: bool) -> FittedModel:
         """Return the model to predict with.
@@ -346,8 +372,9 @@ class Calibration(Value):
         target: str | None = None,
         group: str | None = None,
         payload: Payload | None = None,
+        moves: ArrayLike | None = None,
     ) -> Samples:
-        """Return joint values as a prediction takes them, with frame, target, and the loads on the joints.
+        """Return joint values as a prediction takes them, with frame, target, loads and last moves of the joints.
 
         Names of stations and targets are those of ``setup``.
 
@@ -357,10 +384,13 @@ class Calibration(Value):
             group: Name of the station, which has one measurement frame; None: the first.
             payload: Point mass that the tip carries; None: that of the measurements. It counts for a non-geometric
                 model only.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
-            N samples: the joint values, shape (N, m); the index of the frame and of the target of each, from 0; and the
-            loads of gravity on the joints, see `gravity_loads`, None if the result has no non-geometric model.
+            N samples: the joint values, shape (N, m); the index of the frame and of the target of each, from 0; the
+            loads of gravity on the joints, see `gravity_loads`, None if the result has no non-geometric model; and the
+            last moves.
 
         Raises:
             ArgumentError: ``q`` is not made of numbers, or the payload is of another type.
@@ -371,7 +401,11 @@ class Calibration(Value):
         load = None
         if self.non_geometric is not None:
             load = self.non_geometric.load(self.nominal, values, payload)
-        samples = Samples.at(values, load)
+        if moves is None:
+            known_moves = last_moves(values)
+        else:
+            known_moves = finite_numbers("moves", moves, values.shape, "one number for each of q")
+        samples = Samples.at(values, load, known_moves)
         return replace(
             samples,
             frame=_repeated_index("station", group, self.setup.groups, len(values)),
@@ -385,6 +419,7 @@ class Calibration(Value):
         target: str | None = None,
         group: str | None = None,
         non_geometric: bool = True,
+        moves: ArrayLike | None = None,
     ) -> Array:
         """Predict calibrated T_frame_target by the non-geometric model if there is one, else by the geometry.
 
@@ -397,6 +432,8 @@ class Calibration(Value):
                 stands.
             non_geometric: Whether to use the non-geometric model, if there is one, with the payload of the
                 measurements; else the geometry of the URDF.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
             shape (N, 4, 4), [m].
@@ -406,7 +443,9 @@ class Calibration(Value):
             ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         part = self.part(non_geometric=non_geometric)
-        poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
+        poses = part.kinematics.poses(
+            part.x, self.samples(q, target=target, group=group, moves=moves)
+        )
         if group is None and not self.rows.tells_place:
             poses = rigid_inverse(part.setup.T_frame_base[0]) @ poses
         return poses
@@ -419,8 +458,8 @@ class Calibration(Value):
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             **where: Arguments of `predict_poses`: ``target`` and ``group``, names of the target and of the station,
-                each the first if it is not given; and ``non_geometric``, False to use the geometry of the URDF
-                alone.
+                each the first if it is not given; ``non_geometric``, False to use the geometry of the URDF
+                alone; and ``moves``, if the rows are not in the order in which the robot goes through them.
 
         Returns:
             shape (N, 3), [m]; in the base if no row determines where it stands and no station is named.
@@ -444,6 +483,7 @@ class Calibration(Value):
         target: str | None = None,
         group: str | None = None,
         non_geometric: bool = True,
+        moves: ArrayLike | None = None,
     ) -> Array:
         """Return the standard deviation of `predict`, by the non-geometric model if there is one, else the geometry.
 
@@ -457,6 +497,8 @@ class Calibration(Value):
             group: Name of the station whose frame is meant; None: the first, or the base if no row determines where it
                 stands.
             non_geometric: Whether to use the non-geometric model, if there is one; else the geometry of the URDF.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
             shape (N,), [m], of the three axes together.
@@ -466,17 +508,21 @@ class Calibration(Value):
             ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
         """
         part = self.part(non_geometric=non_geometric)
-        samples = self.samples(q, target=target, group=group)
+        samples = self.samples(q, target=target, group=group, moves=moves)
         in_base = group is None and part.base_motion is not None
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
-    def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
+    def tip_poses(
+        self, q: ArrayLike, *, payload: Payload | None = None, moves: ArrayLike | None = None
+    ) -> Array:
         """Predict calibrated T_base_tip by the non-geometric model if there is one, else by the geometry, ``robot``.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             payload: Point mass that the tip carries; None: that of the measurements. It counts for a non-geometric
                 model only.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
 
         Returns:
             shape (N, 4, 4), pose of the tip in the base, [m].
@@ -488,7 +534,7 @@ class Calibration(Value):
         if self.non_geometric is None:
             check_type("payload", payload, (Payload, type(None)), "a Payload, or None")
             return self.robot.poses(q)
-        return self.non_geometric.tips(self.samples(q, payload=payload))
+        return self.non_geometric.tips(self.samples(q, payload=payload, moves=moves))
 
     def complete_cell(self, cell: Cell) -> Cell:
         """Return a cell with the cameras and boards that the fit began with, if it gives none of its own.
@@ -544,7 +590,7 @@ class Calibration(Value):
             ModelError: Its joint readings are coupled differently.
             UrdfError: It lacks one of the joints.
         """
-        return _with_origins_of(self.robot, robot)
+        return self._described(_with_origins_of(self.robot, robot))
 
     def uncorrected(self, robot: Robot) -> Robot:
         """Return a robot with the nominal joint origins of this result, those of its ``nominal``.
@@ -560,7 +606,16 @@ class Calibration(Value):
             ModelError: Its joint readings are coupled differently.
             UrdfError: It lacks one of the joints.
         """
-        return _with_origins_of(self.nominal, robot)
+        nominal = _with_origins_of(self.nominal, robot)
+        if nominal.urdf.run != self.run:
+            return nominal
+        return replace(nominal, urdf=nominal.urdf.with_comments(run="", verdict=""))
+
+    def _described(self, robot: Robot) -> Robot:
+        """Return a robot whose URDF states this run and, if it is ``do not use``, the verdict, as comments."""
+        verdict_against = shown_by("show.verdict_text").do_not_use_text(self.verdict)
+        urdf = robot.urdf.with_comments(run=self.run, verdict=verdict_against)
+        return replace(robot, urdf=urdf)
 
 
 def is_corrected(result: Calibration, robot: Robot) -> bool:
@@ -571,7 +626,7 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
         robot: A robot with the same chain.
 
     Returns:
-        True for the corrected origins, to rounding, False for the nominal ones.
+        True for the corrected origins, to rounding; False for the nominal ones, also if the result corrects none.
 
     Raises:
         ModelError: It has neither, has another base or tip, or its joint readings are coupled differently.
@@ -583,16 +638,38 @@ def is_corrected(result: Calibration, robot: Robot) -> bool:
             f"The result is for --base {chain.base} --tip {chain.tip}, not for '{robot.base}' to "
             f"'{robot.tip}'."
         )
-    if not _other_origins(robot, result.corrected(robot)):
-        return True
-    different = _other_origins(robot, result.uncorrected(robot))
-    if not different:
-        return False
-    raise ModelError(
-        f"{robot.urdf.source}: the origin of '{different[0]}' is neither the one that the "
-        "calibration began with nor its corrected one. Give the URDF that the result was made "
-        "with, or the corrected URDF in place of the result."
-    )
+    joint = joint_of_another_run(result, robot)
+    if joint:
+        runs = f" It is of run {robot.urdf.run}, the result of {result.run}." * bool(robot.urdf.run)
+        raise ModelError(
+            f"{robot.urdf.source}: its joint origins are neither those that the calibration began with nor the "
+            f"corrected ones (see '{joint}').{runs} Give the URDF that the result was made with, or the corrected URDF "
+            "in place of the result."
+        )
+    return bool(_other_origins(robot, result.uncorrected(robot)))
+
+
+def joint_of_another_run(result: Calibration, robot: Robot) -> str:
+    """Find a joint of a robot that shows that its URDF is not of a result's run.
+
+    Args:
+        result: The calibration.
+        robot: A robot with the same chain.
+
+    Returns:
+        Name of the first joint whose origin is neither, or else is not nominal; empty if all origins are those that the
+        calibration began with, or all are the corrected ones.
+
+    Raises:
+        ModelError: Its joint readings are coupled differently.
+        UrdfError: It lacks one of the joints.
+    """
+    not_corrected = _other_origins(robot, result.corrected(robot))
+    not_nominal = _other_origins(robot, result.uncorrected(robot))
+    if not not_corrected or not not_nominal:
+        return ""
+    neither = [joint for joint in not_nominal if joint in not_corrected]
+    return (neither or not_nominal)[0]
 
 
 def _other_origins(robot: Robot, reference: Robot) -> list[str]:

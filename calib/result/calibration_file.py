@@ -2,7 +2,8 @@
 
 A result read back is equal to the one written, field by field, except for ``fit_in_memory``: measurements and solved
 problem are not part of the file. The nominal URDF is, so that a result needs no other file. Numbers that do not exist
-are null.
+are null. ``checksums`` has the digest of every other key at the top: a file that was changed is refused, by the key.
+Keys that it does not list are a user's own.
 """
 
 from __future__ import annotations
@@ -22,7 +23,16 @@ from calib.basics.arguments import check_type
 from calib.basics.arrays import Array, read_only
 from calib.basics.channels import Channels, residual_unit
 from calib.basics.files import write_atomically
-from calib.basics.json_files import Json, JsonLayout, Key, damage, json_bytes, nested, read_json
+from calib.basics.json_files import (
+    Json,
+    JsonLayout,
+    Key,
+    damage,
+    digest,
+    json_bytes,
+    nested,
+    read_json,
+)
 from calib.basics.records import json_key
 from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
@@ -30,7 +40,7 @@ from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
-from calib.errors import CalibError, FileError, PluginError
+from calib.errors import CalibError, FileError, PluginError, choices
 from calib.fit.registration.setup import Setup
 from calib.fit.selection.candidates import Candidate
 from calib.fit.selection.row_weights import Robustness
@@ -42,6 +52,7 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import Calibration
+from calib.result.file_check import check_against_itself
 from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.parts import Method, ResultRows, Source
 from calib.result.result_optics import ResultOptics
@@ -53,8 +64,24 @@ from calib.version import __version__
 #: The layout of a result.
 SCHEMA = 7
 
+#: The key of the digests of all others; missing in files of earlier versions, as is `_RUN`.
+_CHECKSUMS = "checksums"
+
+#: The key of the run's id.
+_RUN = "run"
+
+#: Digits of a digest in `_CHECKSUMS`: a change that keeps one would be found by chance once in 3e14 tries.
+_CHECKSUM_DIGITS = 12
+
 #: A calibration result, or the path of its file.
 ResultInput: TypeAlias = Calibration | str | Path
+
+#: What to do about a file that was changed.
+_TAKE_THE_ORIGINAL = (
+    "Take the file as it was written, or write it again with 'calib calibrate --json': options and the cell file state "
+    "what is to be different, and --accept uses a result in spite of its verdict. A program that writes the file anew "
+    "has to keep all digits."
+)
 
 #: What messages call it.
 RESULT = "a Calibration, or the path of a result file (.json)"
@@ -319,6 +346,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
     # What the file has besides the attributes of a result, by its path: most of it for other programs.
     derived = {
         "schema": SCHEMA,
+        _RUN: c.run,
         "robot": {
             "name": robot.name,
             "base": robot.base,
@@ -393,7 +421,13 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    return write_table(result_table(c) | dict(extra or {}), path, overwrite=overwrite)
+    table = result_table(c) | dict(extra or {})
+    return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
+
+
+def _checksums(table: Json) -> dict[str, str]:
+    """Return the digest of each entry of a result's table by its key; `digest` says what counts."""
+    return {key: digest(entry)[:_CHECKSUM_DIGITS] for key, entry in table.items()}
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -423,7 +457,7 @@ def read_result(path: str | Path) -> Calibration:
         The result, equal to the one written except for its measurements and fits in memory.
 
     Raises:
-        FileError: It cannot be read, is not a result, of another schema, or damaged.
+        FileError: It cannot be read, is not a result, of another schema, damaged, or was changed since calib wrote it.
         PluginError: It uses a family or a kind of a plugin that is not loaded.
     """
     expected = (
@@ -431,9 +465,14 @@ def read_result(path: str | Path) -> Calibration:
         "result.json"
     )
     table = read_json(path, "calibration result", SCHEMA, expected)
+    checksums = table.pop(_CHECKSUMS, None)
+    if checksums is not None or _RUN in table:
+        _check_unchanged(table, checksums, f"{path}")
     try:
         plugins.check_registered(_registered_names(table), table.get("plugins", ()))
-        return _calibration(table, Path(path).parent)
+        result = _calibration(table, Path(path).parent)
+        if checksums is None:
+            check_against_itself(table, result_table(result), result)
     except PluginError as error:
         raise PluginError(f"{path}: {error}") from error
     except (
@@ -442,6 +481,24 @@ def read_result(path: str | Path) -> Calibration:
         raise FileError(
             f"{path}: the result is damaged ({damage(error)}). Write it again with 'calib calibrate --json'."
         ) from error
+    return result
+
+
+def _check_unchanged(table: Json, checksums: object, path: str) -> None:
+    """Refuse a table, without its checksums, that they are not those of, by a `FileError` that names what was changed.
+
+    The path of the file is for messages.
+    """
+    if not isinstance(checksums, dict):
+        raise FileError(f"{path}: 'checksums' is missing. {_TAKE_THE_ORIGINAL}")
+    stated = {key: entry for key, entry in table.items() if key in checksums}
+    found = _checksums(stated)
+    changed = [key for key, checksum in checksums.items() if found.get(key) != checksum]
+    if changed:
+        was = "was" if len(changed) == 1 else "were"
+        raise FileError(
+            f"{path}: {choices(changed)} {was} changed after calib wrote the file. {_TAKE_THE_ORIGINAL}"
+        )
 
 
 def _calibration(table: Json, folder: Path) -> Calibration:

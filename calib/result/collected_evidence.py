@@ -197,6 +197,22 @@ def compare_validation_errors(
     )
 
 
+def _lags(model: FittedModel) -> Iterator[Reason]:
+    """Yield a reason for each family of lost motion that a model has: the joint that lags most, and by how much.
+
+    Joints whose interval contains none do not count.
+    """
+    for why, family in ((Why.STOPS_SHORT, "lost_motion"), (Why.CREEPS, "creep")):
+        suffix = f".{family}"
+        found = [p for p in model.parameters if p.name.endswith(suffix) and p.low * p.high > 0.0]
+        if found:
+            # Radians of turning joints and metres of sliding ones: a radian moves the tip by about a metre.
+            largest = max(found, key=lambda p: abs(p.value))
+            size = {"rad": "lag_rad", "m": "lag_m"}.get(largest.unit, "lag_share")
+            values = {size: largest.value, "others_short": len(found) - 1}
+            yield Reason.of(why, joint=largest.name.removesuffix(suffix), **values)
+
+
 def _notes(result: Calibration) -> Iterator[Reason]:
     """Yield reasons that only inform: a non-geometric model, copies of rows, validation rows outside joint ranges.
 
@@ -212,6 +228,7 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         )
         why = Why.LARGER_NO_CLOSER if no_closer else Why.LARGER_MODEL
         yield Reason.of(why, model=larger.name, after=errors, use=larger.verdict.use)
+        yield from _lags(larger)
 
     m = result.fit.measurements
     if m.copies:

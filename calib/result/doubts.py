@@ -79,10 +79,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
         yield from _missing_model(few)
     yield from partial_coverage(few)
 
-    # The table's rows are in the order of their measurement; joints moved to a row from the one before, whatever its
-    # set.
-    q = m.joints_for(result.nominal.joint_names)
-    moves = np.diff(q, axis=0, prepend=q[:1])
+    # Joints moved to a row from the one before, whatever its set.
+    moves = m.moves_for(result.nominal.joint_names)
     in_table = np.flatnonzero(m.estimation)[chosen]
     yield from residual_patterns(few, np.array(m.rows)[in_table], moves[in_table])
 

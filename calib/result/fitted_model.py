@@ -26,6 +26,7 @@ from calib.model.error_model import FRAME, TARGET, ErrorModel
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, interval_factor, rms
+from calib.numerics.moves import last_moves
 from calib.numerics.rigid_motion import best_motion, displacements_by
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import spread_poses
@@ -156,7 +157,7 @@ class FittedModel(Value):
         q, loads = spread_poses(robot), None
         if any(term.factor and term.factor.loaded for term in kinematics.model.terms):
             loads = gravity_loads(robot, q, cell.payload, cell.gravity)
-        everywhere = Samples.at(q, loads)
+        everywhere = Samples.at(q, loads, last_moves(q))
         return replace(
             model,
             expected_measured=model._expected_error(rows.samples),

@@ -38,6 +38,9 @@ SAME = 1e-14
 #: The beginning of a comment that states the verdict on a corrected URDF.
 _VERDICT = "calib verdict: "
 
+#: The beginning of a comment that states the run of which a corrected URDF is a file.
+_RUN = "calib run: "
+
 
 @dataclass(frozen=True, slots=True)
 class Urdf(Value):
@@ -103,10 +106,13 @@ class Urdf(Value):
 
     @property
     def verdict(self) -> str:
-        """The verdict that a comment of the file states, as `with_verdict` wrote it; empty if there is none."""
-        stated = [comment.text.strip() for comment in self._document.comments]
-        verdicts = [text.removeprefix(_VERDICT) for text in stated if text.startswith(_VERDICT)]
-        return verdicts[0] if verdicts else ""
+        """The verdict that a comment of the file states, as `with_comments` wrote it; empty if there is none."""
+        return self._stated(_VERDICT)
+
+    @property
+    def run(self) -> str:
+        """The run that a comment of the file states, as `with_comments` wrote it; empty if there is none."""
+        return self._stated(_RUN)
 
     @property
     def dh(self) -> DHRobot | None:
@@ -240,25 +246,31 @@ class Urdf(Value):
         before = close - len(robot_indent)
         return self._patched([(before, before, indented)])
 
-    def with_verdict(self, text: str) -> Urdf:
-        """Return the URDF with a verdict as a comment on a line before ``<robot>``, in place of one that it has.
+    def with_comments(self, *, run: str, verdict: str) -> Urdf:
+        """Return the URDF with a run and a verdict as comments, each on a line before ``<robot>``, in place of its own.
 
         Args:
-            text: The verdict and its reason, which `verdict` reads back; empty for a URDF without such a comment.
+            run: The id of a run, which `run` reads back, see `calib.result.calibration.Calibration.run`; empty for no
+                such comment.
+            verdict: The verdict and its reason, which `verdict` reads back; empty for no such comment.
 
         Returns:
             The URDF; all other bytes are kept.
         """
         document = self._document
+        wanted = b""
+        for prefix, text in ((_RUN, run), (_VERDICT, verdict)):
+            if text:
+                wanted += document.comment(prefix + text)
         patches = [
             (comment.start, document.line_after(comment.end), b"")
             for comment in document.comments
-            if comment.text.strip().startswith(_VERDICT)
+            if comment.text.strip().startswith((_RUN, _VERDICT))
         ]
-        if text:
-            first = document.root.start
-            patches.append((first, first, document.comment(_VERDICT + text)))
-        return self._patched(patches) if patches else self
+        if b"".join(self.data[start:end] for start, end, _ in patches) == wanted:
+            return self
+        first = document.root.start
+        return self._patched([*patches, (first, first, wanted)])
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the bytes to a file, whole or not at all.
@@ -275,6 +287,14 @@ class Urdf(Value):
         """
         check_no_xacro(path)
         return write_atomically(path, self.data, overwrite=overwrite)
+
+    def _stated(self, prefix: str) -> str:
+        """Return what the first comment with a prefix states after it; empty if there is none."""
+        for comment in self._document.comments:
+            text = comment.text.strip()
+            if text.startswith(prefix):
+                return text.removeprefix(prefix)
+        return ""
 
     def _patched(self, patches: list[tuple[int, int, bytes]]) -> Urdf:
         """Return the URDF with the bytes from start to before end replaced, for every (start, end, new bytes)."""

@@ -1,10 +1,11 @@
-"""Coupled joint readings, and the DH rows that a robot was made from, in one sentence each."""
+"""Coupled joint readings, the DH rows that a robot was made from, and another run of its URDF, in a sentence each."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from calib.result.calibration import Calibration
     from calib.robot.robot import Robot
 
 
@@ -38,3 +39,24 @@ def rows_sentence(robot: Robot) -> str:
         return ""
     convention = rows.table.convention
     return f"Made from DH rows, {convention} convention: {EQUATIONS[convention]}"
+
+
+def other_run_sentence(robot: Robot, result: Calibration, name: str) -> str:
+    """Word that a URDF and a result are of different runs; empty if they are of one.
+
+    Args:
+        robot: The robot of the URDF, with the chain of the result.
+        result: The result.
+        name: Name of its file.
+    """
+    # Late: the command line loads nothing heavy at its start.
+    from calib.result.calibration import joint_of_another_run
+
+    joint = joint_of_another_run(result, robot)
+    if not joint:
+        return ""
+    stated = f" (run {robot.urdf.run})" * bool(robot.urdf.run)
+    return (
+        f"{robot.urdf.source}{stated} is not of the run of {name} (run {result.run}): its joint origins are neither "
+        f"those that the calibration began with nor the corrected ones (see '{joint}')."
+    )

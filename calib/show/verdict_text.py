@@ -199,6 +199,10 @@ SENTENCES = {
     Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
     "URDF can represent it; calib compensate and predict() use it.",
     Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions: {after}.",
+    Why.STOPS_SHORT: "'{joint}' stops {short} after each move{other_joints}. predict() and calib compensate "
+    "take the order of the rows into account; the URDF cannot: approach poses from one side.",
+    Why.CREEPS: "'{joint}' was measured {short} of its last move{other_joints}. Wait longer at each pose, or "
+    "let predict() and calib compensate take the order of the rows into account; the URDF cannot.",
     Why.SCALE_HIDDEN: "A scale error of the instrument of up to {scale:%.2f} % "
     "({effect_m:mm.2f} mm at {reach_m:mm.0f} mm from the base) could be absorbed by the arm's "
     "lengths. If its scale is certified, state it in the cell file: scale_certified = true.",
@@ -338,6 +342,10 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "before": f"{listed(before)} rms",
         "after": f"{listed(after)} rms",
         "change": f"from {start} to {listed(after)} rms",
+        "short": _short(values),
+        "other_joints": f", and {plural(values['others_short'], 'other joint')} by less"
+        if values.get("others_short")
+        else "",
         "measured": " and ".join(measured),
         "of_images": ", six of an image," if values.get("images") else "",
         "beyond": "".join(sizes_of(values, "by", ".3g")),
@@ -421,6 +429,19 @@ def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]
         "whose": f"row {rows[0]}" if len(rows) == 1 else "them",
         "those": "this joint" if len(rows_of_joint) == 1 else "these joints",
     }
+
+
+def _short(values: Mapping[str, Any]) -> str:
+    """Return by how much a joint stops short, or too far: ``0.21 mrad short``; empty for values of other reasons."""
+    for name, factor, unit in (
+        ("lag_rad", 1e3, "mrad"),
+        ("lag_m", 1e3, "mm"),
+        ("lag_share", 1e2, "%"),
+    ):
+        if name in values:
+            side = "short" if values[name] > 0.0 else "too far"
+            return f"{factor * abs(values[name]):.2g} {unit} {side}"
+    return ""
 
 
 def _ranges(values: Mapping[str, Any]) -> str:

@@ -3,12 +3,19 @@ from __future__ import annotations
 import os
 import resource
 import stat
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 
-from calib.basics.files import check_writable, read_bytes, write_atomically
+from calib.basics.files import (
+    _remove_leftovers,
+    check_writable,
+    read_bytes,
+    write_atomically,
+)
 from calib.errors import FileError
 
 
@@ -87,3 +94,32 @@ def test_nothing_is_left_when_the_disk_takes_only_a_part(tmp_path: Path, overwri
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert names(tmp_path) == (["a.urdf"] if overwrite else [])
     assert not overwrite or path.read_bytes() == b"old"
+
+
+#: Writes a file, and stops before it gets its name.
+STOPPED = """
+import pathlib, sys, time
+from calib.basics.files import write_atomically
+def stop(self, target):
+    print("stopped", flush=True)
+    time.sleep(60)
+pathlib.Path.replace = stop
+write_atomically(sys.argv[1], b"half", overwrite=False)
+"""
+
+
+def test_what_a_killed_process_left_is_removed_and_what_another_one_writes_stays(tmp_path: Path):
+    with subprocess.Popen(
+        [sys.executable, "-c", STOPPED, tmp_path / "a"], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"stopped\n"
+        (temporary,) = names(tmp_path)
+        _remove_leftovers.cache_clear()
+        write_atomically(tmp_path / "b", b"whole", overwrite=False)
+        assert names(tmp_path) == [temporary, "b"]
+        process.kill()
+    _remove_leftovers.cache_clear()
+    (tmp_path / ".calib-notes.txt").touch()
+    write_atomically(tmp_path / "c", b"whole", overwrite=False)
+    assert names(tmp_path) == [".calib-notes.txt", "b", "c"]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import enum
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -9,7 +10,16 @@ import numpy as np
 import pytest
 
 from calib.basics.arrays import Array
-from calib.basics.json_files import JsonLayout, Key, damage, json_bytes, nested, plain, read_json
+from calib.basics.json_files import (
+    JsonLayout,
+    Key,
+    damage,
+    digest,
+    json_bytes,
+    nested,
+    plain,
+    read_json,
+)
 from calib.errors import FileError, MeasurementError
 
 
@@ -63,6 +73,19 @@ def test_a_long_list_has_one_entry_a_line():
     data = json_bytes({"short": [1, 2], "long": [[k, k] for k in range(501)]})
     assert data.splitlines().count(b"  [7, 7],") == 1
     assert json.loads(data)["long"][500] == [500, 500]
+
+
+def test_a_digest_is_of_values_whatever_their_form():
+    table = {"a": [1.0, 0.1, math.nan, True], "b": {"c": "é", "d": -0.0}}
+    again = json.loads(json.dumps({"b": {"d": 0, "c": "\u00e9"}, "a": [1, 1e-1, None, True]}))
+    assert digest(table) == digest(again)
+    for other in (
+        {**table, "a": [1.0, 0.1, math.nan, 1]},
+        {**table, "a": [1.0, math.nextafter(0.1, 1.0), math.nan, True]},
+        {**table, "a": [0.1, 1.0, math.nan, True]},
+        {**table, "c": None},
+    ):
+        assert digest(other) != digest(table)
 
 
 def test_paths_make_nested_tables():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import pickle
 import subprocess
 import sys
@@ -30,6 +31,7 @@ from calib.robot.robot import Robot
 from calib.verbs.convert.convert import FORMATS, chosen_format
 from calib.verbs.fleet.job import FleetJob, FleetOptions
 from calib.verbs.simulate.scenario import Scenario
+from tests.parts import of_an_earlier_version
 from tests.places import ROOT
 from tests.plugin_files import CELL, registries_kept, write_distribution, write_plugin
 
@@ -299,7 +301,7 @@ def test_without_a_plugin_that_is_known_the_name_is_said(fitted, tmp_path):
         .replace('"name": "' + str(fitted[1]), '"name": "')
         .replace('"edge"', '"wire"')
     )
-    (tmp_path / "result.json").write_text(text)
+    (tmp_path / "result.json").write_text(json.dumps(of_an_earlier_version(json.loads(text))))
     plugins.load(fitted[1])
     with pytest.raises(PluginError, match=r"result\.json: There is no kind of measurement 'wire'"):
         read_result(tmp_path / "result.json")

@@ -253,8 +253,12 @@ def test_that_no_urdf_holds_what_a_larger_model_does_is_said_before_that_rows_ar
         calibrated=validated(5.8e-4, 5),
         parameters=60,
         non_geometric=GAINS,
+        validation=on_validation(6e-4, 6e-4),
     )
     assert codes(judge(e))[0] == Why.NO_URDF_HOLDS
+    # Unless validation rows show that this URDF is better nevertheless.
+    shown = judge(replace(e, validation=on_validation(6e-4, 4e-4)))
+    assert Why.NO_URDF_HOLDS not in codes(shown)
     assert codes(judge(replace(e, non_geometric=None)))[0] == Why.TOO_FEW
 
 

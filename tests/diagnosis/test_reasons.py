@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from calib.diagnosis.reasons import CARE, NO, USE, Reason, Why
+from calib.diagnosis.reasons import CARE, NO, USE, VERDICTS, Reason, Verdict, Why
+from calib.errors import ArgumentError
 from calib.numerics.errors import Errors
 from tests.residuals import lengths_and_angles
 
@@ -18,6 +21,15 @@ def test_the_code_is_the_name_in_small_letters():
 
 def test_the_verdicts():
     assert (USE, CARE, NO) == ("use", "use with care", "do not use")
+    assert [bool(Verdict(word, ())) for word in VERDICTS] == [True, False, False]
+
+
+@pytest.mark.parametrize("word", ["do not usd", "Use", "", None])
+def test_there_is_no_other_word(word: Any):
+    with pytest.raises(
+        ArgumentError, match="A verdict is 'use', 'use with care', 'do not use', not"
+    ):
+        Verdict(word, ())
 
 
 @pytest.mark.parametrize(

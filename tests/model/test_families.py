@@ -13,6 +13,12 @@ from calib.model import families
 from calib.model.families import FAMILIES, Factor, Family, JointState, register
 from calib.model.joint_errors import joint_parameters
 
+#: The families that calib has itself.
+NAMES = (
+    *("length", "angle", "zero", "gain", "eccentricity", "harmonic_2"),
+    *("lost_motion", "creep", "compliance", "gravity"),
+)
+
 
 @pytest.fixture
 def registry():
@@ -24,8 +30,7 @@ def registry():
 
 
 def test_the_rows():
-    joints = ["gain", "eccentricity", "compliance", "gravity"]
-    assert list(FAMILIES)[:7] == ["length", "angle", "zero", *joints]
+    assert tuple(FAMILIES) == NAMES
     assert [name for name, row in FAMILIES.items() if row.geometric] == ["length", "angle", "zero"]
     assert [name for name, row in FAMILIES.items() if row.loaded] == ["compliance", "gravity"]
     for row in FAMILIES.values():
@@ -33,12 +38,14 @@ def test_the_rows():
 
 
 def test_prior_standard_deviations_are_those_of_docs_and_cell_files():
-    priors = {name: row.prior for name, row in list(FAMILIES.items())[:7]}
-    joints = {"gain": 1e-3, "eccentricity": 1e-3, "compliance": 1e-5, "gravity": 1e-3}
-    assert priors == {"length": 3e-3, "angle": 15e-3, "zero": 15e-3, **joints}
+    priors = {name: row.prior for name, row in FAMILIES.items()}
+    turns = {"gain": 1e-3, "eccentricity": 1e-3, "harmonic_2": 1e-3}
+    moves = {"lost_motion": 0.3e-3, "creep": 1e-3}
+    loads = {"compliance": 1e-5, "gravity": 1e-3}
+    assert priors == {"length": 3e-3, "angle": 15e-3, "zero": 15e-3, **turns, **moves, **loads}
 
 
-@pytest.mark.parametrize("name", ["gain", "eccentricity"])
+@pytest.mark.parametrize("name", ["gain", "eccentricity", "harmonic_2"])
 def test_slopes_are_the_derivatives_of_the_factors(ur3, name):
     q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
     for joint in ur3.joint_names:
@@ -78,7 +85,7 @@ def test_a_family_of_a_wrong_name_or_without_factors_is_refused(registry, name, 
     rows = tuple(Factor(factor, lambda state: state.q, None) for factor in factors)
     with pytest.raises(ModelError, match=f"The family .*{fault}"):
         register(Family(name, families.RAD, 1e-3, 1e-3, rows))
-    assert len(registry) == 7
+    assert len(registry) == len(NAMES)
 
 
 OTHER_RAD = replace(families.RAD, step=1.0)
@@ -98,13 +105,13 @@ def test_a_family_of_an_unknown_unit_is_refused(registry, unit, sliding, error, 
     with pytest.raises(error, match=fault) as caught:
         register(Family("other", unit, 1e-3, 1e-3, (factor,), sliding=sliding))
     assert type(caught.value) is error
-    assert len(registry) == 7
+    assert len(registry) == len(NAMES)
 
 
 def test_only_families_are_registered(registry):
     with pytest.raises(ArgumentError, match="'family'"):
         register("gain")
-    assert len(registry) == 7
+    assert len(registry) == len(NAMES)
 
 
 @pytest.mark.parametrize(

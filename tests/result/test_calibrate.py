@@ -14,7 +14,7 @@ from calib.basics.arrays import rigid_inverse
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
-from calib.errors import ModelError, UrdfError
+from calib.errors import ModelError, UrdfError, VerdictError
 from calib.example import PAPER_TARGET_AS_PRINTED
 from calib.fit.selection.candidates import mark_chosen
 from calib.model.kinematics import Samples
@@ -141,6 +141,7 @@ def seen_from_elsewhere(
 def test_the_urdf_changes_in_origins_of_the_chain_only(default_result, ur3, tmp_path):
     path = default_result.write_urdf(tmp_path / "corrected.urdf")
     before, after = ur3.urdf.data.decode().splitlines(), path.read_text().splitlines()
+    after.remove(f"<!-- calib run: {default_result.run} -->")
     changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
     assert (
         len(changed) == 6
@@ -221,6 +222,21 @@ def test_progress_is_told_after_each_fit(ur3, table, paper_cell):
 def test_what_cannot_be_done_is_refused(ur3, table, options, error, text):
     with pytest.raises(error, match=text):
         calibrate(ur3, table, **options)
+
+
+def test_noise_that_no_arm_has_needs_no_validation_to_be_refused(ur3, table, paper_cell, tmp_path):
+    rng = np.random.default_rng(8)
+    absurd = replace(table, points=table.points + rng.normal(0.0, 0.1, table.points.shape))
+    c = calibrate(ur3, absurd, cell=paper_cell, validate=False)
+    assert c.noise.sigma["m"] == pytest.approx(0.1, rel=0.3)
+    assert (c.verdict.use, c.verdict.reasons[0].code) == ("do not use", "noise_absurd")
+    with pytest.raises(VerdictError, match="noise_absurd"):
+        c.write_urdf(tmp_path / "c.urdf")
+    assert not (tmp_path / "c.urdf").exists()
+    assert Urdf.read(c.write_urdf(tmp_path / "c.urdf", accept=True)).verdict
+    # Centimetres of noise that an arm without a calibration may have are not judged without held-out rows.
+    rough = replace(table, points=table.points + rng.normal(0.0, 0.01, table.points.shape))
+    assert calibrate(ur3, rough, cell=paper_cell, validate=False).verdict is None
 
 
 def test_a_robot_that_is_right_already_is_to_be_kept(ur3, virtual):

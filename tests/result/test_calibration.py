@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.errors import ModelError
 from calib.model.kinematics import Samples
+from calib.result.calibration import Calibration, is_corrected, joint_of_another_run
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+from calib.show.robot_sentences import other_run_sentence
+from calib.verbs.view.view import view_of_result
 from tests.parts import with_part
 
 
@@ -37,8 +43,8 @@ def test_predictions_are_what_residuals_are_made_of(case):
 def test_the_verdict_is_that_on_the_model_with_which_one_predicts(case):
     _, c = case
     assert c.verdict_on(non_geometric=False) is c.verdict
-    of_model = c.non_geometric and c.non_geometric.verdict
-    assert c.verdict_on(non_geometric=True) is (of_model or c.verdict)
+    of_model = None if c.non_geometric is None else c.non_geometric.verdict
+    assert c.verdict_on(non_geometric=True) is (c.verdict if of_model is None else of_model)
     without = replace(c, non_geometric=None)
     assert without.verdict_on(non_geometric=True) is c.verdict
 
@@ -116,6 +122,61 @@ def test_joint_values_outside_of_the_measured_are_told(calibrated):
     (row,) = c.outside_of_measured(np.array([inside, beyond]))
     assert row.index == 1
     assert [one.joint for one in row.beyond] == ["elbow_joint"]
+
+
+def test_files_of_a_run_carry_its_id(calibrated, tmp_path):
+    _, c = calibrated("poses")
+    read = Calibration.read_json(c.write_json(tmp_path / "r.json"))
+    urdf = Urdf.read(c.write_urdf(tmp_path / "c.urdf"))
+    assert (read.run, urdf.run) == (c.run, c.run)
+    assert re.fullmatch("[0-9a-f]{12}", c.run)
+    # Of other measurements, another nominal robot, or another fit the run is another.
+    other_rows = with_part(c, "source", sha256="0" * 64)
+    tips = c.setup.T_tip_target.copy()
+    tips[0, 0, 3] += 1e-9
+    setup = c.setup.with_poses(c.setup.T_frame_base, tips)
+    other_fit = with_part(c, "geometry", setup=setup)
+    other_urdf = replace(c, nominal=c.robot)
+    assert len({c.run, other_rows.run, other_fit.run, other_urdf.run}) == 4
+    # The comment of an earlier run gives way, and the nominal robot carries none.
+    assert other_rows.robot.urdf.run == other_rows.run
+    assert other_rows.robot.urdf.data.count(b"calib run") == 1
+    assert c.uncorrected(c.robot).urdf.run == ""
+
+
+def test_a_urdf_of_another_run_is_told_by_its_origins(calibrated):
+    _, c = calibrated("poses")
+    joint = c.nominal.joint_names[2]
+    T = c.nominal.origins()[joint].copy()
+    T[0, 3] += 1e-6
+    urdf = c.nominal.urdf.with_origins({joint: T})
+    other = replace(c.nominal.rebuilt(urdf), urdf=urdf.with_comments(run="0a1b", verdict=""))
+    assert joint_of_another_run(c, other) == joint
+    assert [joint_of_another_run(c, robot) for robot in (c.nominal, c.robot)] == ["", ""]
+    assert [is_corrected(c, robot) for robot in (c.nominal, c.robot)] == [False, True]
+    with pytest.raises(ModelError, match=f"see '{joint}'.* of run 0a1b, the result of {c.run}"):
+        is_corrected(c, other)
+    said = other_run_sentence(other, c, "r.json")
+    assert "(run 0a1b)" in said
+    assert f"r.json (run {c.run})" in said
+    assert other_run_sentence(c.robot, c, "r.json") == ""
+    # The one joint that is neither is named; without one, one that is corrected.
+    both = c.robot.urdf.with_origins({joint: T})
+    assert joint_of_another_run(c, c.robot.rebuilt(both)) == joint
+    mixed = c.robot.urdf.with_origins({joint: c.nominal.origins()[joint]})
+    assert joint_of_another_run(c, c.robot.rebuilt(mixed)) not in ("", joint)
+    # Pages say it below the verdict.
+    assert view_of_result(c, other, source="r.json").note.endswith(said)
+
+
+def test_the_robot_of_a_bad_result_says_so_whoever_writes_it(calibrated, tmp_path):
+    _, c = calibrated("poses")
+    bad = with_part(c, "geometry", verdict=Verdict(NO, (Reason.of(Why.CAMERA_TOO_ROUGH),)))
+    assert c.robot.urdf.verdict == ""
+    for robot in (bad.robot, bad.corrected(c.nominal), bad.corrected(c.robot)):
+        written = Urdf.read(robot.urdf.write(tmp_path / "c.urdf", overwrite=True))
+        assert written.verdict.startswith("do not use (camera_too_rough)")
+    assert bad.uncorrected(bad.robot).urdf.verdict == ""
 
 
 def test_a_target_link_is_for_one_target(calibrated, tmp_path):

@@ -36,6 +36,7 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.calibrate.report import summary
 from calib.verbs.evaluate.evaluation import evaluate
+from tests.parts import of_an_earlier_version
 from tests.places import ROOT
 
 DOC = ROOT / "docs" / "result-json.md"
@@ -43,7 +44,7 @@ DOC = ROOT / "docs" / "result-json.md"
 
 def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Every key of nested tables, ``a.b`` and ``a[].b``, with its value; lists of plain values are one value."""
-    if isinstance(value, dict):
+    if isinstance(value, dict) and path != "checksums":
         for key, entry in value.items():
             yield from leaves(entry, f"{path}.{key}" if path else key)
     elif isinstance(value, list) and value and isinstance(value[0], dict):
@@ -149,7 +150,8 @@ def test_a_result_of_an_earlier_version_has_no_record(
     everything_json: dict[str, Any], tmp_path: Path
 ):
     path = tmp_path / "earlier.json"
-    table = {key: value for key, value in everything_json.items() if key != "record"}
+    table = of_an_earlier_version(everything_json)
+    del table["record"]
     path.write_text(json.dumps(table), encoding="utf-8")
     assert everything_json["record"]["temperature_C"] == [20.5, 21.0]
     assert read_result(path).record == Record()
@@ -168,7 +170,7 @@ def test_a_result_that_does_not_say_how_orientations_were_given(
     everything_json: dict[str, Any], tmp_path: Path
 ):
     assert everything_json["inputs"]["measurements"]["orientation"] == "kuka"
-    table = json.loads(json.dumps(everything_json))
+    table = of_an_earlier_version(everything_json)
     del table["inputs"]["measurements"]["orientation"]
     (tmp_path / "r.json").write_text(json.dumps(table), encoding="utf-8")
     assert read_result(tmp_path / "r.json").source.orientation == ""
@@ -346,10 +348,20 @@ def test_another_schema(tmp_path: Path, text: str):
         ("non_geometric.payload", {"mass_kg": -1.0, "com_m": [0.0, 0.0, 0.0]}),
         ("rows.numbers", [1, 2]),
         ("rows.residual_nominal", "far"),
+        ("verdict.use", "do not usd"),
+        ("verdict.use", None),
+        ("verdict", None),
+        ("non_geometric.verdict", None),
+        ("inputs.urdf.sha256", "0" * 64),
+        ("robot.origins.2.xyz_m.0", 0.25),
+        ("robot.origins.1.rpy_rad.2", 0.25),
+        ("robot.joints.0", "another"),
+        ("errors.calibrated.estimation.m.rms", 1e-6),
+        ("frames.target_m.0", 0.3),
     ],
 )
 def test_a_damaged_result(everything_json: dict[str, Any], tmp_path: Path, path: str, bad: Any):
-    damaged = json.loads(json.dumps(everything_json))
+    damaged = of_an_earlier_version(everything_json)
     *folders, key = (int(part) if part.isdigit() else part for part in path.split("."))
     place = damaged
     for folder in folders:
@@ -366,6 +378,93 @@ def test_a_damaged_result(everything_json: dict[str, Any], tmp_path: Path, path:
     ) as caught:
         read_result(file)
     assert "\n" not in str(caught.value)
+
+
+# A file that was changed
+
+
+@pytest.fixture(scope="module")
+def contents(everything: Calibration, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("result") / "result.json"
+    return write_result(everything, path).read_bytes()
+
+
+def bent(contents: bytes, random: np.random.Generator) -> bytes:
+    """The file with one digit changed, or one bit flipped anywhere in it, each in half of all cases."""
+    spoilt = bytearray(contents)
+    if random.random() < 0.5:
+        digits = [k for k, byte in enumerate(contents) if chr(byte).isdigit()]
+        k = random.choice(digits)
+        spoilt[k] = ord("0") + (spoilt[k] - ord("0") + random.integers(1, 10)) % 10
+    else:
+        spoilt[random.integers(len(contents))] ^= 1 << int(random.integers(8))
+    return bytes(spoilt)
+
+
+@pytest.mark.parametrize("count", [12, pytest.param(600, marks=pytest.mark.slow)])
+def test_flipped_bits_and_digits_are_refused_or_without_effect(
+    everything: Calibration, contents: bytes, tmp_path: Path, count: int
+):
+    random = np.random.default_rng([44, count])
+    path = tmp_path / "r.json"
+    refused = 0
+    for _ in range(count):
+        path.write_bytes(bent(contents, random))
+        try:
+            read = read_result(path)
+        except FileError:
+            refused += 1
+            continue
+        assert differences(everything, read) == []
+    assert refused > 0.9 * count
+
+
+@pytest.mark.parametrize("everything_of_the_run", [True, False])
+def test_a_missing_line_is_noticed(
+    everything_json: dict[str, Any], tmp_path: Path, everything_of_the_run: bool
+):
+    """Without its checksums a file with a run's id is not one of an earlier version."""
+    table = of_an_earlier_version(everything_json)
+    expected = r"earlier\.json: 'checksums' is missing\. Take the file as it was written"
+    table["run"] = everything_json["run"]
+    if everything_of_the_run:
+        table["checksums"] = everything_json["checksums"]
+        del table["record"]
+        expected = r"earlier\.json: 'record' was changed after calib wrote the file"
+    path = tmp_path / "earlier.json"
+    path.write_text(json.dumps(table), encoding="utf-8")
+    with pytest.raises(FileError, match=expected):
+        read_result(path)
+
+
+def test_what_was_edited_is_named(everything_json: dict[str, Any], tmp_path: Path):
+    table = json.loads(json.dumps(everything_json))
+    table["verdict"]["use"] = "use"
+    table["x"][0] *= 1.0 + 1e-15
+    path = tmp_path / "r.json"
+    path.write_text(json.dumps(table), encoding="utf-8")
+    with pytest.raises(FileError, match=r"r\.json: 'x', 'verdict' were changed") as caught:
+        read_result(path)
+    assert "--accept" in str(caught.value)
+
+
+@pytest.mark.parametrize("style", ["pretty", "sorted", "windows", "javascript", "own key"])
+def test_a_file_may_be_written_anew_with_all_digits(
+    everything: Calibration, everything_json: dict[str, Any], tmp_path: Path, style: str
+):
+    text = json.dumps(everything_json, indent=4)
+    if style == "sorted":
+        text = json.dumps(everything_json, sort_keys=True, separators=(",", ":"))
+    elif style == "windows":
+        text = "\ufeff" + text.replace("\n", "\r\n")
+    elif style == "javascript":
+        text = re.sub(r"(?<=\d)\.0(?=[,\n ])", "", text)
+        assert len(text) < len(json.dumps(everything_json, indent=4))
+    elif style == "own key":
+        text = json.dumps({**everything_json, "remark": "before the new gripper"})
+    path = tmp_path / "r.json"
+    path.write_bytes(text.encode())
+    assert differences(everything, read_result(path)) == []
 
 
 # Cameras and boards

@@ -17,7 +17,13 @@ from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
-from tests.result.test_calibration_file import WHOLE, differences, documented, leaves
+from tests.parts import of_an_earlier_version
+from tests.result.test_calibration_file import (
+    WHOLE,
+    differences,
+    documented,
+    leaves,
+)
 
 #: Errors of the print that the images have: of the scale along x and y.
 SCALE = (0.004, 0.002)
@@ -180,7 +186,7 @@ def test_the_file_has_both_cameras_in_plain_words(result, tmp_path):
 
 def test_a_file_of_before_cameras_is_read(default_result, tmp_path):
     path = default_result.write_json(tmp_path / "r.json")
-    written = json.loads(path.read_text())
+    written = of_an_earlier_version(json.loads(path.read_text()))
     for key in ("cameras", "boards", "nominal_cameras", "nominal_boards"):
         del written[key]
     del written["rows"]["metres_per_pixel"]

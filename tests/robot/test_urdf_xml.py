@@ -107,31 +107,33 @@ HARD = "do not use (other_base): try --base base <&>é手\n\x01 -"
 @pytest.mark.parametrize("case", READ)
 def test_a_verdict_is_a_comment_before_the_robot_and_changes_no_other_byte(case):
     plain = Urdf.from_bytes(READ[case], "r.urdf")
-    urdf = plain.with_verdict(HARD)
+    urdf = plain.with_comments(run="", verdict=HARD)
     at = urdf.data.index(b"<!-- calib verdict: do not use (other_base): try - -base base ")
     head, end = plain.data[:at], urdf.data.index(b"-->", at) + 3
     assert b"<robot" not in head
     assert plain.data.startswith(head)
     line_end = b"\r\n" if b"\r\n" in plain.data else b"\n"
     assert urdf.data[end:] == line_end + plain.data[at:]
-    assert urdf.with_verdict("") == plain
+    assert urdf.with_comments(run="", verdict="") == plain
     assert plain.verdict == ""
     assert [(j.name, j.child) for j in urdf.joints] == [(j.name, j.child) for j in plain.joints]
 
 
 def test_a_verdict_is_replaced_and_read_back():
-    urdf = Urdf.from_bytes(PLAIN.encode(), "r.urdf").with_verdict("do not use (no_better): Worse.")
+    urdf = Urdf.from_bytes(PLAIN.encode(), "r.urdf").with_comments(
+        run="", verdict="do not use (no_better): Worse."
+    )
     assert urdf.verdict == "do not use (no_better): Worse."
-    again = urdf.with_verdict("do not use (too_few): Measure more.")
+    again = urdf.with_comments(run="", verdict="do not use (too_few): Measure more.")
     assert again.verdict == "do not use (too_few): Measure more."
     assert again.data.count(b"calib verdict") == 1
-    assert again.with_verdict(again.verdict) == again
+    assert again.with_comments(run="", verdict=again.verdict) == again
     moved = again.with_origins({"one": np.eye(4)})
     assert moved.verdict == again.verdict
     # Pinocchio and yourdfpy read it as before.
     robot = Robot.from_urdf(again, "a", "c")
     q = random_joint_values(robot)
-    given = Robot.from_urdf(urdf.with_verdict(""), "a", "c")
+    given = Robot.from_urdf(urdf.with_comments(run="", verdict=""), "a", "c")
     check_written(robot, given.poses(q), q, given)
 
 

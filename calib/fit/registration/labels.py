@@ -12,9 +12,7 @@ from scipy.spatial import cKDTree
 from calib.basics.arrays import Array, Integers
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import KnownDistance
-
-#: Rows whose joint values differ by no more than this are repeats of a pose [rad or m].
-_SAME_POSE = 1e-3
+from calib.numerics.moves import SAME_POSE
 
 
 def joined_labels(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integers:
@@ -54,7 +52,7 @@ def same_poses(joints: Array) -> Integers:
     tree = cKDTree(unique)
     # Only those with a neighbour, about as near as repeats are, can be repeats. It is the second nearest point, as a
     # point is nearest to itself; infinitely far if none is within reach.
-    reach = 1.01 * _SAME_POSE
+    reach = 1.01 * SAME_POSE
     distances, _ = tree.query(tree.data, k=[2], p=np.inf, distance_upper_bound=reach)
     near = distances[:, 0] < reach
 
@@ -65,7 +63,7 @@ def same_poses(joints: Array) -> Integers:
         if not free[i]:
             continue
         # A leader takes its free neighbours.
-        taken = np.array(tree.query_ball_point(unique[i], _SAME_POSE, p=np.inf))
+        taken = np.array(tree.query_ball_point(unique[i], SAME_POSE, p=np.inf))
         taken = taken[free[taken]]
         leader[taken] = first[i]
         free[taken] = False

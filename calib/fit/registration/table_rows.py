@@ -79,6 +79,7 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
         target=numbered(measurements.targets, setup.targets),
         load=joint_loads(robot, measurements, cell, q) if needs_loads else None,
         internals=internals,
+        moves=measurements.moves_for(robot.joint_names),
     )
 
     # Standard deviation of one scalar of each row by unit: the row's, else the cell's, else the assumed one.

@@ -91,7 +91,7 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     families = []
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
-        moves = joint_displacements(robot, terms, samples.q, samples.load)
+        moves = joint_displacements(robot, terms, samples.q, samples.load, samples.moves)
         if np.max(np.abs(moves), initial=0.0) > _NO_MOTION:
             families.append(family)
     return tuple(families)
@@ -150,9 +150,9 @@ class Candidate:
 def assess(fitted: Fitted) -> Candidate:
     """Cross-validate a model that was fitted, and weigh the evidence for it.
 
-    With priors the evidence is log L - c_k k - c_g g, with the restricted log-likelihood log L, for k prior standard
-    deviations that are estimated from the data (0 if they are kept as given) and the geometry's rung g on the ladder,
-    from 0, with the penalties c_k and c_g of each. Without priors it is
+    With priors the evidence is log L - c_k k - c_g g - c_f, with the restricted log-likelihood log L, for k prior
+    standard deviations that are estimated from the data (0 if they are kept as given) and the geometry's rung g on the
+    ladder, from 0, with the penalties c_k and c_g of each, and the rarity c_f of its families. Without priors it is
     -log(rms) / `CLEARLY` - g - f, where log(rms) of held-out errors is the mean over the units that were measured, and
     f the number of families.
 
@@ -177,6 +177,7 @@ def assess(fitted: Fitted) -> Candidate:
         evidence = -mean_log_error / CLEARLY - rung - len(families)
     else:
         cost = _PRIOR_STD_COST * len(estimate.prior_std) if priors == "data" else 0.0
+        cost += sum(family_of(family).rarity for family in families)
         evidence = estimate.log_likelihood - cost - _RUNG_COST * rung
     return Candidate(
         name=str(fitted.task.model),
@@ -214,7 +215,8 @@ def alternative_models(candidates: Iterable[Candidate]) -> tuple[str, ...]:
     """List non-geometric models to try if refits reject the chosen one, the highest evidence first.
 
     Each has more evidence than the chosen geometry, and smaller errors on held-out rows of the linearised problem. Of
-    models that differ only by vanished families, one is taken.
+    models that differ only by vanished families, one is taken. Families that depend on the order of the rows are taken
+    from the chosen model alone, for which that was shown to matter.
 
     Args:
         candidates: All that were fitted; the chosen ones are marked, see `mark_chosen`.
@@ -227,14 +229,22 @@ def alternative_models(candidates: Iterable[Candidate]) -> tuple[str, ...]:
     effective = {c.name: without_vanished_families(c.name, c.prior_std) for c in ordered}
     listed = {effective[c.name] for c in ordered if c.chosen}
     limit = held_out_rms(geometry.cross_validation)
+    of_order = {f for c in ordered if c.chosen for f in moved_families(c.name)}
     names = []
     for candidate in ordered:
         likelier = candidate.evidence > geometry.evidence
         closer = held_out_rms(candidate.cross_validation) < limit
-        if likelier and closer and effective[candidate.name] not in listed:
+        proven = of_order.issuperset(moved_families(candidate.name))
+        if likelier and closer and proven and effective[candidate.name] not in listed:
             names.append(candidate.name)
             listed.add(effective[candidate.name])
     return tuple(names[:_MOST_ALTERNATIVES])
+
+
+def moved_families(name: str) -> tuple[str, ...]:
+    """Return the families of a model, by its name, whose errors depend on the joints' last moves."""
+    _, *families = name.split("+")
+    return tuple(family for family in families if family_of(family).moved)
 
 
 def without_vanished_families(name: str, prior_std: Mapping[str, float]) -> str:

@@ -18,6 +18,7 @@ from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.rows import Rows
 from calib.fit.selection.candidates import determinable_families, held_out_rms, model_name
 from calib.fit.selection.cross_validation import linear_cross_validation
+from calib.model.families import family_of
 from calib.numerics.errors import Errors
 from calib.numerics.rigid_motion import without_rigid_motion
 
@@ -81,7 +82,7 @@ def with_better_weights(fitted: Fitted, rows: Rows, reference: Fitted) -> Fitted
 
 
 def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
-    """Fit a geometry together with all families of non-geometric errors that the rows can determine.
+    """Fit a geometry together with all usual families of non-geometric errors that the rows can determine.
 
     Args:
         fitted: Fit of the geometry, from whose registration the new one starts.
@@ -91,7 +92,8 @@ def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
         The fit, with its own weights, of the model such as ``"dh+compliance+gain"``; names of parameters in the cell
         that this lacks are passed over.
     """
-    families = determinable_families(fitted.task, rows)
+    offered = determinable_families(fitted.task, rows)
+    families = tuple(family for family in offered if not family_of(family).rarity)
     model = model_name(str(fitted.task.model), families)
     task = replace(fitted.task, model=model, allow_absent=True)
     return fit(task, rows, registered=fitted.setup)

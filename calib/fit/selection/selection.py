@@ -22,10 +22,13 @@ from calib.fit.selection.candidates import (
     geometry_parameters,
     mark_chosen,
     model_name,
+    moved_families,
     without_vanished_families,
 )
+from calib.fit.selection.row_order import order_matters
 from calib.fit.selection.row_weights import explains_more_rows
 from calib.fit.selection.search import Search
+from calib.model.families import family_of
 
 #: The most searches: after the first, weights are estimated again with the model that the last one chose.
 _MOST_SEARCHES = 2
@@ -49,15 +52,18 @@ class Selection:
     chosen: Fitted
 
 
-def select(task: Task, rows: Rows) -> Selection:
+def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
     """Choose a geometry, and a non-geometric model if the data support one.
 
-    The search begins with the largest model, whose priors shrink what the data do not support to nothing, and moves
-    to neighbours of higher evidence, see `Search`. Of many rows a part is used, and the chosen model fitted to all.
+    The search begins with the largest model of usual families, whose priors shrink what the data do not support to
+    nothing, and moves to neighbours of higher evidence, see `Search`. Of many rows a part is used, and the chosen model
+    fitted to all. If that depends on the order of the rows, and the order does not matter, it is searched once more
+    without such errors.
 
     Args:
         task: The fit; its model does not count.
         rows: Rows to fit.
+        excluded: Names of families that are not offered.
 
     Returns:
         The chosen models, all candidates, and the fit of the non-geometric model, or of the geometry if there is none.
@@ -71,13 +77,15 @@ def select(task: Task, rows: Rows) -> Selection:
     some_rows = rows.select(rows.evenly(_CHOSEN_BY))
     task = replace(task, allow_absent=True)
     geometries = geometry_parameters(task)
-    families = determinable_families(task, some_rows)
+    offered = determinable_families(task, some_rows)
+    families = tuple(family for family in offered if family not in excluded)
     if task.cell.priors.source == "off":
         # Without priors there must be a number for each parameter.
         enough = [name for name, size in geometries.items() if size <= some_rows.count]
         largest = enough[-1] if enough else next(iter(geometries))
     else:
-        largest = model_name(tuple(geometries)[-1], families)
+        usual = tuple(family for family in families if not family_of(family).rarity)
+        largest = model_name(tuple(geometries)[-1], usual)
 
     reference = fit(replace(task, model=largest), some_rows)
     start = without_vanished_families(largest, reference.estimate.prior_std)
@@ -102,6 +110,9 @@ def select(task: Task, rows: Rows) -> Selection:
         search = replace(search, reference=chosen, tried={})
         start = best
     non_geometric = best if "+" in best else ""
+    of_order = moved_families(best)
+    if of_order and not order_matters(chosen, of_order):
+        return select(task, rows, moved_families(model_name(geometry, families)))
     candidates = mark_chosen(search.tried.values(), geometry, non_geometric)
 
     if len(some_rows) < len(rows) or search_task is not task:

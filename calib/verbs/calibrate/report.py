@@ -419,7 +419,7 @@ def _measurements(c: Calibration) -> Iterator[Block]:
     yield tables.ranges(c)
     yield from _figures(c, "measurements")
     # The verdict may name them already.
-    if not c.verdict or all(reason.why != Why.OUTSIDE for reason in c.verdict.reasons):
+    if c.verdict is None or all(reason.why != Why.OUTSIDE for reason in c.verdict.reasons):
         outside = outside_text(c.rows.outside, np.array(m.rows)[m.validation].tolist())
         if outside:
             yield Paragraph(
@@ -459,6 +459,7 @@ def _files(c: Calibration, command: str, date: str) -> Block:
     m = c.fit.measurements
     return Facts(
         [
+            ("Run", c.run),
             ("Nominal robot", c.nominal.urdf.source or "from memory"),
             ("  SHA-256", c.nominal.urdf.sha256),
             ("Measurements", m.source or "from memory"),

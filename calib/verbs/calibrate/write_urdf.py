@@ -56,7 +56,7 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
                     f"'{joint.parent}' by a {joint.type} joint. Rename it, or do without the target link."
                 )
             urdf = urdf.with_origins({joint.name: T_tip_target})
-    robot = replace(c.robot, urdf=urdf.with_verdict(do_not_use_text(c.verdict)))
+    robot = replace(c.robot, urdf=urdf)
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
     T_base_tip = c.geometry.tips(Samples.at(q))

@@ -364,7 +364,9 @@ def _as_lengths(twists: Array, *, turns: bool) -> Array:
     """Return twists (N, 6, k), linear then angular, as displacements (N D, k) [m], angles times the lever."""
     scaled = twists * np.repeat([1.0, _LEVER], 3)[:, None]
     coordinates = 6 if turns else 3
-    return np.asarray(scaled[:, :coordinates].reshape(-1, twists.shape[2]))
+    count, _, columns = twists.shape
+    # The number of rows in full: a model of frames alone has no columns to count them by.
+    return np.asarray(scaled[:, :coordinates].reshape(count * coordinates, columns))
 
 
 # Differences
@@ -409,8 +411,8 @@ class _Compensation:
         points, angles = moved[:, :3], moved[:, 3:] / _LEVER  # b less a, (N, 3) [m] and [rad]
         # Derivative of the points by the parameters of both, (N, 3, p_a + p_b): the motion follows the parameters.
         J = at.signed - at.gauge @ (self.to_motion @ self.inside.signed)
-        J = J.reshape(-1, at.coordinates, J.shape[1])[:, :3]
         count = len(points)
+        J = J.reshape(count, at.coordinates, J.shape[1])[:, :3]
         noise = float(np.einsum("ndp,pq,ndq->", J, self.joint, J)) / count
         square = np.sum(points**2, axis=1)
         rms = float(np.sqrt(np.mean(square)))

@@ -24,6 +24,7 @@ from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
 from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
 from calib.errors import VerdictError
+from calib.numerics.moves import last_moves
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import RESULT, is_result_file, result_of
 from calib.robot.gravity import Payload
@@ -129,20 +130,23 @@ def compensate(
     tolerance = (max(tolerance[0], _EXACT), max(tolerance[1], _EXACT))
     T_wanted, nominal_solution = _solve_nominal(pair, program, matching)
     q_nominal = nominal_solution.q
-    uncorrected = Solution(q_nominal, *pair.actual.motion(q_nominal))
+    nominal_misses = matching.misses(nominal_solution.T_base_tool, T_wanted)
+    nominal_reaches = within(nominal_misses, _NOMINAL)
+    # Corrections are far shorter than moves: the joints come to each row as the nominal robot's do.
+    moves = last_moves(_where(nominal_reaches, q_nominal))
+    moved = replace(pair, actual=replace(pair.actual, moves=moves))
+    uncorrected = Solution(q_nominal, *moved.actual.motion(q_nominal))
     limits = column_limits(pair.nominal.robot)
-    corrected = solve(pair.actual, T_wanted, q_nominal, matching, limits)
-    T_send, misses_by_pose = _find_poses_to_send(pair, matching, T_wanted, q_nominal, corrected.q)
+    corrected = solve(moved.actual, T_wanted, q_nominal, matching, limits)
+    T_send, misses_by_pose = _find_poses_to_send(moved, matching, T_wanted, q_nominal, corrected.q)
 
     misses = matching.misses(corrected.T_base_tool, T_wanted)
     reasons = find_reasons(pair, matching, uncorrected, corrected, misses, tolerance)
     reached = np.array([reason is None for reason in reasons])
-    nominal_misses = matching.misses(nominal_solution.T_base_tool, T_wanted)
-    nominal_reaches = within(nominal_misses, _NOMINAL)
     missed = matching.misses(uncorrected.T_base_tool, T_wanted)
     expected = None
     if pair.result and reached.any():
-        expected = expected_errors(pair, corrected.q[reached])
+        expected = expected_errors(pair, corrected.q[reached], moves[reached])
     commands = Commands(
         pair=pair,
         program=program,
@@ -241,7 +245,7 @@ def _find_poses_to_send(
     rows = np.arange(len(T_send))
     for _ in range(_CORRECTIONS):
         q_sent = solve(pair.nominal, T_send[rows], q_nominal[rows], full, limits).q
-        T_arrived[rows] = pair.actual.poses(q_sent)
+        T_arrived[rows] = pair.actual.at_rows(rows).poses(q_sent)
         if not is_redundant:
             break
         error = matching.error(T_arrived[rows], T_wanted[rows])

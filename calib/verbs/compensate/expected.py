@@ -16,7 +16,7 @@ The error to expect is the mean length of such an error, with n = (tr S)^2 / tr 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -108,12 +108,13 @@ class ExpectedErrors(Value):
         return max(self.contributions, key=self.contributions.__getitem__)
 
 
-def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
+def expected_errors(pair: Pair, q: Array, moves: Array | None = None) -> ExpectedErrors:
     """Compute the expected errors of the true robot at joint values to command.
 
     Args:
         pair: The nominal robot and that of a result, with the tool and the frame of the program.
         q: shape (N, m), joint values to command [rad] or [m].
+        moves: shape (N, m), last move of each joint before, [rad] or [m]; None: not known.
 
     Returns:
         The errors of the N rows, and their sources.
@@ -123,7 +124,7 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     """
     result = _result(pair)
     part = result.part(non_geometric=pair.non_geometric)
-    views = _views(pair, result, part, q)
+    views = _views(pair, result, part, q, moves)
     target, tool, arrived = (pose_covariance(part, view) for view in views)
     lacking = _lacking(result, part, float(target.mean_square[1]))
     measured = None
@@ -146,8 +147,12 @@ def _result(pair: Pair) -> Calibration:
     return pair.result
 
 
-def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tuple[View, View, View]:
-    """Return views of the measured target, of the tool, and of the tool in the program's frame, at joint values (N, m).
+def _views(
+    pair: Pair, result: Calibration, part: FittedModel, q: Array, moves: Array | None
+) -> tuple[View, View, View]:
+    """Return views of the measured target, of the tool, and of the tool in the program's frame.
+
+    They are at joint values (N, m), [rad] or [m], after moves (N, m).
 
     The first two are in the measurement frame. If the tool is not a target, the target nearest to it is measured.
     """
@@ -160,7 +165,9 @@ def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tupl
         target = setup.targets.index(pair.target)
     group = 0 if pair.group is None else setup.groups.index(pair.group)
     load = None if pair.actual.load is None else pair.actual.load(q)
-    samples = Samples(q, np.full(len(q), group), np.full(len(q), target), load)
+    samples = replace(
+        Samples.at(q, load, moves), frame=np.full(len(q), group), target=np.full(len(q), target)
+    )
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
 
     in_base, unknown = pair.group is None, bool(unknown_base_directions(result))

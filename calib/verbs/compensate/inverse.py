@@ -203,7 +203,8 @@ def solve(
         missed = np.flatnonzero(miss > _REACHED)
         if len(missed):
             goals, starts = T_wanted[missed], values[missed]
-            free = _search(arm, goals, starts, matching, limits, pulled=False, steps=steps)
+            missed_arm = arm.at_rows(missed)
+            free = _search(missed_arm, goals, starts, matching, limits, pulled=False, steps=steps)
             _, _, _, free_error = free
             nearer = np.linalg.norm(free_error, axis=1) < miss[missed]
             for rows, free_rows in zip(found, free, strict=True):
@@ -241,7 +242,7 @@ def _search(
         dq = _step_inside(jacobian, error[moving], damping[moving], pull, q[moving], limits)
         q_tried = np.clip(q[moving] + dq, low, high)
         is_cut = (q_tried != q[moving] + dq).any(axis=1)
-        T_tried, twists_tried = arm.motion(arm.robot.readings(q_tried))
+        T_tried, twists_tried = arm.at_rows(moving).motion(arm.robot.readings(q_tried))
         error_tried = matching.error(T_tried, T_wanted[moving])
 
         # A row takes the step if its error is not larger there, or is rounding.

@@ -12,14 +12,14 @@ Here q_j is the joint's value, which differs from its reading if readings are co
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.basics.arguments import numbers
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Integers, read_only
 from calib.basics.values import Value
 from calib.errors import ModelError, choices
 from calib.model.error_model import TIP, ErrorModel, Parameter
@@ -62,6 +62,9 @@ class Arm(Value):
     x: Array
     #: Load on each joint at joint values, (N, m) to (N, n), [Nm, N]; None: no error needs it.
     load: Callable[[Array], Array] | None = None
+    #: Last move of each measured joint before each of N rows, shape (N, m), [rad] or [m]; None: not known, and any
+    #: number of rows.
+    moves: Array | None = None
 
     @classmethod
     def of(
@@ -126,6 +129,10 @@ class Arm(Value):
         robot = nominal.with_placements(nominal.placements @ displacements[order])
         return cls.of(robot, T_tip_tool, terms, values, load)
 
+    def at_rows(self, rows: Integers) -> Arm:
+        """Return the arm as it is at some of the rows of ``moves``, by their indices, shape (n,)."""
+        return self if self.moves is None else replace(self, moves=self.moves[rows])
+
     def poses(self, q: Array) -> Array:
         """Compute T_base_tool, shape (N, 4, 4), [m], at readings of the joints, shape (N, m), [rad] or [m]."""
         return self.kinematics.poses(self.x, self._samples(q))
@@ -151,7 +158,7 @@ class Arm(Value):
 
     def _samples(self, q: Array) -> Samples:
         """Return N samples of readings (N, m) [rad] or [m], with the joints' loads if an error depends on them."""
-        return Samples.at(q, None if self.load is None else self.load(q))
+        return Samples.at(q, None if self.load is None else self.load(q), self.moves)
 
 
 def _motion_per_value(terms: Sequence[Parameter], values: Array, state: JointState) -> Array:
@@ -189,7 +196,8 @@ class Pair(Value):
         """Raise `ModelError` for two robots whose tools are too far apart for one to be a calibration of the other."""
         robot = self.nominal.robot
         q = spread_poses(robot, _POSES)
-        difference = self.actual.poses(q)[:, :3, 3] - self.nominal.poses(q)[:, :3, 3]
+        actual = replace(self.actual, moves=None)
+        difference = actual.poses(q)[:, :3, 3] - self.nominal.poses(q)[:, :3, 3]
         typical = float(np.median(np.linalg.norm(difference, axis=1)))
         if typical > _NO_CALIBRATION * self.reach:
             raise ModelError(
@@ -249,8 +257,13 @@ def pair_of(
 
     result = calibration
     nominal = nominal or result.nominal
-    controller = result.uncorrected(nominal) if is_corrected(result, nominal) else nominal
     model = result.non_geometric if non_geometric is not False else None
+    if is_corrected(result, nominal) and model is None:
+        raise ModelError(
+            f"{nominal.urdf.source} has the corrected joint origins of this result: for a controller with this model "
+            "there is nothing to correct, and commands would be corrected twice. For a controller with the nominal "
+            "model give its URDF, from which the calibration started."
+        )
     setup = result.setup if model is None else model.setup
 
     target: str | None = None
@@ -284,7 +297,7 @@ def pair_of(
                 "with any. Leave the payload out; the model 'dh+compliance' estimates compliances."
             )
     return Pair(
-        nominal=Arm.of(controller, T_tip_tool_nominal),
+        nominal=Arm.of(nominal, T_tip_tool_nominal),
         actual=actual,
         T_frame_base=T_frame_base,
         target=target,

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, rigid_inverse
 from calib.data.forms.orientations import find_convention
+from calib.result.calibration import is_corrected
 from calib.show.lines import fill
 from calib.show.robot_sentences import coupling_sentence
 from calib.show.tables import Column, name_column, table_lines
@@ -103,6 +104,11 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
     # To check before the commands go to the robot.
     pair, robot = commands.pair, commands.nominal
     notes = [_mismatch(commands)]
+    if pair.result is not None and is_corrected(pair.result, robot):
+        notes.append(
+            f"{robot.urdf.source} has the corrected joint origins: the commands are for a controller with this model, "
+            "and correct only what the non-geometric model adds. For a controller with the nominal model give its URDF."
+        )
     if pair.target is not None:
         notes.append(
             f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "

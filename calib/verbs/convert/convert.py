@@ -170,15 +170,16 @@ def convert(
             f"A camera or board was named, but the format '{name}' has neither; give --to with {choices(able)}."
         )
 
-    # If another file is applied to a URDF, the verdict that this URDF states is on an earlier calibration, and does not
-    # count.
+    # If another file is applied to a URDF, run and verdict that this URDF states are of an earlier calibration, and do
+    # not count.
     verdict_against = do_not_use_text(content.verdict)
     if content.kind == "robot":
         verdict_against = content.robot.urdf.verdict
     if verdict_against and not chosen.accept:
         named = f"'{source}'" if isinstance(source, (str, Path)) else "the calibration"
         raise VerdictError(refusal(named, verdict_against))
-    urdf = content.robot.urdf.with_verdict(verdict_against)
+    run = content.robot.urdf.run if content.kind in ("robot", "result") else ""
+    urdf = content.robot.urdf.with_comments(run=run, verdict=verdict_against)
     if urdf != content.robot.urdf:
         content = replace(content, robot=replace(content.robot, urdf=urdf))
     notes = row.write(content, path, chosen)

@@ -129,7 +129,8 @@ def write_urdf(source: Source, path: Path, options: Options) -> Notes:
     written = robot
     if source.kind == "robot" and source.nominal is not None:
         written = source.nominal.with_placements(robot.placements)
-    written = replace(written, urdf=written.urdf.with_verdict(robot.urdf.verdict))
+    stated = {"run": robot.urdf.run, "verdict": robot.urdf.verdict}
+    written = replace(written, urdf=written.urdf.with_comments(**stated))
     check_written(written, robot.poses(q), q, source.nominal or robot)
     written.urdf.write(path, overwrite=options.overwrite)
     coupled = robot.reading_coupling

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -156,6 +156,7 @@ def evaluate(
     """Evaluate, write the files and print the errors; exit status 3 if a tolerance is not shown to be kept."""
     from calib.result.calibration_file import read_result, write_table
     from calib.show.as_html import check_ending
+    from calib.show.robot_sentences import other_run_sentence
     from calib.verbs.evaluate.acceptance import assess
     from calib.verbs.evaluate.evaluation_file import assessment_table
     from calib.verbs.evaluate.report import Origins, summary, write_report
@@ -172,11 +173,12 @@ def evaluate(
     check_outputs([json, report], inputs, force=force)
     limits = acceptance_options.limits()
     cell = cell_options.cell()
-    result, name, sha256 = None, "", ""
+    result, name, origins = None, "", Origins(command=command_line())
     if calibration is not None:
         result = read_result(calibration)
         contents = read_bytes(calibration, "calibration result")
         name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
+        origins = replace(origins, result=name, result_sha256=sha256, run=result.run)
         cell = with_chain_of_result(cell, result, str(calibration))
     completed = cell if result is None else result.complete_cell(cell)
     boards, cameras = list(completed.boards.values()), list(completed.cameras.values())
@@ -201,7 +203,9 @@ def evaluate(
         limits=limits,
     )
 
-    origins = Origins(name, sha256, target_source, command_line())
+    origins = replace(origins, target=target_source)
+    if result is not None:
+        origins = replace(origins, other_run=other_run_sentence(arm, result, name))
     if json is not None:
         write_table(assessment_table(assessment), json, overwrite=force)
     if report is not None:

@@ -246,7 +246,7 @@ def evaluate(
     else:
         kinematics = replace(non_geometric.kinematics, robot=arm)
         model = replace(non_geometric, kinematics=kinematics)
-        T_base_tip = model.tips(Samples.at(rows.joints, rows.samples.load))
+        T_base_tip = model.tips(Samples.at(rows.joints, rows.samples.load, rows.samples.moves))
 
     # Frames and targets that were not given, and what only the other rows see of them.
     chosen = registration_rows(table)

@@ -54,6 +54,10 @@ class Origins:
     result: str = ""
     #: SHA-256 of its bytes
     result_sha256: str = ""
+    #: Id of its run
+    run: str = ""
+    #: A sentence that the robot's URDF is of another run
+    other_run: str = ""
     #: Source, in words, of targets that were not registered to the rows
     target: str = "as given"
     #: The command line that made the evaluation
@@ -125,7 +129,7 @@ def report(
     robot = e.evaluations["urdf"].robot
     errors = partial(tables.errors, e, origins.result, columns)
     rule = Bullets(list(rule_sentences(e)), on=HTML)
-    places = Bullets(place_sentences(e, origins.target))
+    places = Bullets([*place_sentences(e, origins.target), *filter(None, [origins.other_run])])
     hint = reason_text(e.hint) if e.hint is not None and e.accepted is None else ""
     sections = (
         Section(lambda: [_first_page(e, origins.result)], on=HTML),
@@ -247,6 +251,7 @@ def _files(e: Assessment, origins: Origins, date: str) -> Block:
             ("  SHA-256", urdf.robot.urdf.sha256),
             ("Calibration", origins.result),
             ("  SHA-256", origins.result_sha256),
+            ("  Run", origins.run),
             ("Measurements", m.source or "from memory"),
             ("  SHA-256", m.sha256.replace(" + ", ", ") or "-"),
             ("Software", ", ".join(f"{name} {version}" for name, version in versions().items())),

@@ -27,6 +27,7 @@ from calib.model.error_model import ErrorModel
 from calib.model.families import FAMILIES, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameter_sets import error_model, split_name
+from calib.numerics.moves import last_moves
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
@@ -103,8 +104,9 @@ class Truth(Value):
         robot = self.robot
         q = random_joint_values(robot)
         check_written(robot, robot.poses(q), q, self.nominal)
-        # A verdict in the nominal URDF is on another geometry.
-        return robot.urdf.with_verdict("").write(path, overwrite=overwrite)
+        # Run and verdict in the nominal URDF are of another geometry.
+        urdf = robot.urdf.with_comments(run="", verdict="")
+        return urdf.write(path, overwrite=overwrite)
 
     def value(self, name: str) -> float:
         """Return the value of one error, in its unit; raises `ModelError` if the model does not have it."""
@@ -114,7 +116,8 @@ class Truth(Value):
         """Compute the true T_base_tip, with all errors of the robot, shape (N, 4, 4), [m].
 
         Args:
-            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m].
+            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m]; the robot goes from each
+                row to the next.
         """
         robot, x, load = self.nominal, self.x, None
         if self.given is not None:
@@ -123,7 +126,7 @@ class Truth(Value):
         if any(term.factor and term.factor.loaded for term in self.model.terms):
             load = gravity_loads(self.nominal, q, self.payload, self.gravity)
         kinematics = Kinematics(robot, self.model, np.eye(4), np.eye(4))
-        return kinematics.poses(x, Samples.at(q, load))
+        return kinematics.poses(x, Samples.at(q, load, last_moves(q)))
 
     def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
         """Compute the true T_frame_target, shape (N, 4, 4), [m].

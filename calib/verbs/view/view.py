@@ -24,6 +24,7 @@ from calib.show.measured_rows import (
     measured_in_base,
     setup_of_rows,
 )
+from calib.show.robot_sentences import other_run_sentence
 from calib.show.scene.posed_robot import translation
 from calib.show.verdict_text import do_not_use_text, reason_text
 from calib.verbs.evaluate.evaluation import PLACES, Evaluation, evaluate
@@ -184,7 +185,7 @@ def view_of(calibration: Calibration, *, accepted: bool = False) -> View:
         meaning = "the corrected URDF, accepted in spite of the verdict"
     else:
         meaning = "as fitted, not to be used: no URDF is written"
-    names = (view.names[0], ("Calibrated", meaning))
+    names = (view.names[0], ("Calibrated", f"{meaning} (run {c.run})"))
     title = f"{c.nominal.name or 'Robot'}: nominal and calibrated"
     return _with_verdict(replace(view, title=title, names=names), c)
 
@@ -233,8 +234,10 @@ def view_of_result(
     origins = f"joint origins of {source}"
     if np.array_equal(before.placements, after.placements):
         origins = "unchanged: no joint origin was corrected"
-    names = (("Nominal", "before the calibration"), ("Calibrated", origins))
-    return _with_verdict(replace(view, names=names), result)
+    names = (("Nominal", "before the calibration"), ("Calibrated", f"{origins} (run {result.run})"))
+    view = _with_verdict(replace(view, names=names), result)
+    other_run = other_run_sentence(robot, result, source)
+    return replace(view, note=" ".join(filter(None, [view.note, other_run])))
 
 
 def _with_verdict(view: View, c: Calibration) -> View:

@@ -54,7 +54,7 @@ def test_what_is_accepted_states_its_verdict_and_is_else_the_same(result: Calibr
     assert urdf.verdict.startswith("do not use (parameter_far): ")
     assert "200 mm or mrad" in urdf.verdict
     without = judged(result, USE).write_urdf(tmp_path / "t.urdf", target_link=True).read_bytes()
-    assert urdf.with_verdict("").data == without
+    assert urdf.with_comments(run=urdf.run, verdict="").data == without
     assert Robot.load(accepted, "base", "calib_target").joint_names == result.robot.joint_names
     assert plain == result.robot.urdf.data
 
@@ -66,7 +66,7 @@ def test_any_other_verdict_is_written_without_a_comment(result: Calibration, tmp
 
 
 def test_what_an_earlier_calibration_stated_does_not_stay(result: Calibration, tmp_path: Path):
-    stated = result.robot.urdf.with_verdict("do not use (no_better): Of January.")
+    stated = result.robot.urdf.with_comments(run="", verdict="do not use (no_better): Of January.")
     later = replace(result, robot=replace(result.robot, urdf=stated))
     assert later.write_urdf(tmp_path / "a.urdf").read_bytes() == result.robot.urdf.data
     again = judged(later, NO).write_urdf(tmp_path / "b.urdf", accept=True)

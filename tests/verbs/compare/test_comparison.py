@@ -281,6 +281,15 @@ def test_the_document_has_every_key(drifted: Comparison):
     assert keys(plain(drifted.table())) == documented
 
 
+def test_a_model_without_errors_of_the_robot_cannot_drift(arm: Arm, before: Calibration):
+    a, b = (arm.measured(visit, fit="frames")[0] for visit in (1, 2))
+    found = compare(a, b)
+    assert (found.outcome, found.test.combinations) == ("cannot tell", 0)
+    assert [move.rms for move in found.moves] == pytest.approx([0.0, 0.0], abs=1e-9)
+    # The other has all errors for itself.
+    assert set(compare(a, before).only_b) | set(compare(a, before).compensated) >= {"theta2", "a3"}
+
+
 @pytest.mark.parametrize("name", ["poses", "distances", "held"])
 def test_every_kind_of_measurement(calibrated, name: str):
     _, c = calibrated(name)

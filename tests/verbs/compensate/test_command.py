@@ -16,6 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.verbs.compensate.command import parse_pair, parse_tool
+from tests.parts import of_an_earlier_version
 from tests.places import ROOT
 
 DOC = ROOT / "docs" / "compensation.md"
@@ -259,7 +260,7 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
 
 
 def test_an_accepted_verdict_is_said_even_when_quiet(call, folder: Path):
-    content = json.loads((folder / "result.json").read_text())
+    content = of_an_earlier_version(json.loads((folder / "result.json").read_text()))
     content["verdict"]["use"] = "do not use"
     (folder / "bad.json").write_text(json.dumps(content))
     words = ("compensate", "robot.urdf", "program.csv", "--calibration", "bad.json")

@@ -210,7 +210,9 @@ def test_a_program_of_points_leaves_the_nominal_robot_as_it_is_turned(ur3):
 
 def test_commands_are_not_made_by_what_is_not_to_be_used(ur3):
     stated = off(ur3)
-    stated = replace(stated, urdf=stated.urdf.with_verdict("do not use (no_better): Worse."))
+    stated = replace(
+        stated, urdf=stated.urdf.with_comments(run="", verdict="do not use (no_better): Worse.")
+    )
     program = Program.of_joints(START)
     with pytest.raises(VerdictError, match=r"no_better\): Worse\..*accept=True"):
         compensate(stated, program, nominal=ur3)

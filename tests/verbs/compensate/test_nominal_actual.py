@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -97,13 +99,30 @@ def test_joints_that_err_with_their_state(case, families):
     assert twists == pytest.approx(differences(arm, q), abs=tolerance)
 
 
-def test_of_a_calibration_whichever_of_its_robots_is_given(ur3):
+def test_of_a_calibration_the_nominal_robot_is_that_of_the_result_or_as_given(ur3):
     found = made("paper")
     q = random_joint_values(ur3, 5)
-    for pair in (pair_of(found), pair_of(found, ur3), pair_of(found, found.robot)):
+    for pair in (pair_of(found), pair_of(found, ur3)):
         assert pair.nominal.poses(q) == pytest.approx(found.nominal.poses(q), abs=1e-12)
         assert pair.actual.poses(q) == pytest.approx(found.robot.poses(q), abs=1e-12)
         assert np.array_equal(pair.T_frame_base, np.eye(4))
+
+
+def test_a_controller_with_the_corrected_robot_is_not_corrected_twice():
+    found = made("paper")
+    with pytest.raises(ModelError, match="nothing to correct"):
+        pair_of(found, found.robot)
+    # What the URDF does not hold is left to correct.
+    found = made("non_geometric")
+    with pytest.raises(ModelError, match="nothing to correct"):
+        pair_of(found, found.robot, non_geometric=False)
+    q = random_joint_values(found.robot, 5)
+    pair = pair_of(found, found.robot)
+    assert pair.nominal.poses(q) == pytest.approx(found.robot.poses(q), abs=1e-12)
+    assert pair.actual.poses(q) == pytest.approx(pair_of(found).actual.poses(q), abs=1e-12)
+    # Nothing was corrected: the nominal robot is the corrected one.
+    unchanged = replace(made("paper"), robot=made("paper").nominal)
+    assert pair_of(unchanged, unchanged.robot).nominal.robot.urdf.run == unchanged.run
 
 
 def test_a_target_is_where_each_model_has_it():
@@ -148,7 +167,7 @@ def test_of_two_robots(ur3):
         ({"tool": "ball"}, "no target 'ball'; it has 'target'"),
         ({"frame": "left"}, "no station 'left'"),
         ({"non_geometric": Payload(1.0)}, "has no compliances"),
-        ({"nominal": Robot.load("ur5", "base", "tool0")}, "the origin of '.*' is neither"),
+        ({"nominal": Robot.load("ur5", "base", "tool0")}, "joint origins are neither"),
         ({"nominal": Robot.load("ur3", "base_link", "tool0")}, "is for --base base --tip tool0"),
     ],
 )

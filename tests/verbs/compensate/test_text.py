@@ -69,6 +69,14 @@ def found() -> Commands:
     return compensate(result, Program.of_joints(q), tool=(0.0, 0.0, 0.15))
 
 
+def test_what_a_controller_with_the_corrected_robot_gets_is_said():
+    result = made("non_geometric")
+    program = Program.of_joints(result.rows.ranges.mean(axis=1) + 0.2)
+    of_corrected = said(compensate(result, program, nominal=result.robot))
+    assert "correct only what the non-geometric model adds" in of_corrected
+    assert "correct only what" not in said(compensate(result, program))
+
+
 def test_the_expected_error_stands_once_and_its_sources_below(found: Commands):
     printed = said(found)
     mean = 1e3 * found.expected.mean

@@ -30,6 +30,7 @@ from calib.verbs.convert.zeros import (
     read_table,
     table_bytes,
 )
+from tests.parts import of_an_earlier_version
 from tests.verbs.convert.zero_arms import (
     SERVO_ZEROS,
     STORED,
@@ -221,8 +222,8 @@ def test_a_robot_and_a_result_without_zeros_have_none(tmp_path: Path):
         convert(servo_arm(), tmp_path / "z.csv", to="zeros")
     without = replace(servo_result(), zeros=None)
     write_result(without, tmp_path / "old.json")
-    content = json.loads((tmp_path / "old.json").read_text())
-    del content["zeros"]  # as an earlier version wrote it
+    content = of_an_earlier_version(json.loads((tmp_path / "old.json").read_text()))
+    del content["zeros"]
     (tmp_path / "old.json").write_text(json.dumps(content))
     assert read_result(tmp_path / "old.json").zeros is None
     with pytest.raises(CalibError, match="Calibrate again"):

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 from tests.show.pages import Page
 
 RESULT = ("--calibration", "result.json")
@@ -185,6 +186,24 @@ def test_a_tracker_that_moved_is_named(call, folder: Path, tmp_path: Path):
         folder, *EVALUATE[:2], named, *RESULT, "--frame", "estimate", "--json", tmp_path / "b.json"
     )
     assert load(tmp_path / "b.json")["frames"]["registered"] == ["target", "frame"]
+
+
+def test_a_urdf_of_another_run_is_named(call, folder: Path, tmp_path: Path):
+    corrected = Urdf.read(folder / "corrected.urdf")
+    T = corrected.joint("elbow_joint").T_parent_joint.copy()
+    T[2, 3] += 1e-4
+    other = corrected.with_origins({"elbow_joint": T}).with_comments(run="0a1b", verdict="")
+    path = other.write(tmp_path / "other.urdf")
+    done = call(folder, "evaluate", path, "data.csv", *RESULT, "--report", tmp_path / "e.html")
+    run = load(folder / "result.json")["run"]
+    printed = " ".join(done.out.split())
+    assert f"other.urdf (run 0a1b) is not of the run of result.json (run {run}): " in printed
+    assert "(see 'elbow_joint')" in printed
+    page = (tmp_path / "e.html").read_text(encoding="utf-8")
+    assert "other.urdf (run 0a1b) is not of the run of result.json" in page
+    assert f"<td>{run}</td>" in page
+    right = call(folder, "evaluate", "corrected.urdf", "data.csv", *RESULT)
+    assert "is not of the run" not in " ".join(right.out.split())
 
 
 def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: Path):

@@ -122,7 +122,7 @@ def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_estimat
 
 
 def test_the_calibrated_robot_s_label_follows_the_verdict_and_what_was_written(result):
-    assert view_of(result).names[1] == ("Calibrated", "the corrected URDF")
+    assert view_of(result).names[1] == ("Calibrated", f"the corrected URDF (run {result.run})")
     bad = made("do_not_use")
     assert bad.verdict.use == "do not use"
     withheld, accepted = (view_of(bad, accepted=accepted).names[1][1] for accepted in (False, True))

@@ -1,0 +1,54 @@
+"""The last move of each joint before a row: what a joint with lost motion, or one that creeps, depends on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.basics.arrays import Array
+
+#: A joint that moves by no more than this has stayed [rad or m]: repeats of a pose differ by as much.
+SAME_POSE = 1e-3
+
+
+def last_moves(joints: ArrayLike, order: ArrayLike | None = None) -> Array:
+    """Return the last move of each joint before each of N rows.
+
+        move_i = q_i - q_rest,    q_rest: where the joint came to rest before row i
+
+    A joint that stays, within `SAME_POSE`, keeps the move by which it came: repeats of a pose have that of the first of
+    them.
+
+    Args:
+        joints: Shape (N, m), joint values [rad] or [m]; rows with a NaN are passed over.
+        order: Shape (N,), numbers that sort the rows as they were measured, such as times; rows of one number keep
+            their order, and those without (NaN) are passed over. None: the rows are in order.
+
+    Returns:
+        Shape (N, m), [rad] or [m]; 0 before the first move that is known, and in rows that are passed over.
+    """
+    values = np.atleast_2d(np.asarray(joints, dtype=np.float64))
+    moves = np.zeros(values.shape)
+    known = np.all(np.isfinite(values), axis=1)
+    rows = np.arange(len(values))
+    if order is not None:
+        times = np.asarray(order, dtype=np.float64)
+        known &= np.isfinite(times)
+        rows = np.argsort(times, kind="stable")
+    rows = rows[known[rows]]
+    for k in range(values.shape[1]):
+        moves[rows, k] = _moves_of_joint(values[rows, k].tolist())
+    return moves
+
+
+def _moves_of_joint(values: list[float]) -> list[float]:
+    """Return the last move before each value of one joint, in the order in which it took them."""
+    rest = values[0] if values else 0.0
+    move = 0.0
+    moves = []
+    for value in values:
+        if abs(value - rest) > SAME_POSE:
+            move = value - rest
+            rest = value
+        moves.append(move)
+    return moves
