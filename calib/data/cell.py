@@ -307,6 +307,13 @@ class Cell(Value):
         absent="by `scale_certified` and `instrument`",
         check=Check("0 or more [%]", lambda value: value if value >= 0.0 else None),
     )
+    #: True if a known measurement frame was aligned with the base: if the base seems to have moved, the arm is off.
+    frame_aligned: bool = key(
+        "frame_aligned",
+        TRUTH,
+        "Whether a known measurement frame was aligned with the base by measuring its mounting.",
+        default=False,
+    )
     #: Weighting of repeated poses: ``"weighted"``, ``"average"`` or ``"independent"``.
     repeats: str = key(
         "repeats",

@@ -53,20 +53,24 @@ class AugmentedFit:
     #: Prior standard deviation of each family, estimated again
     prior_std: Mapping[str, float]
 
-    def p_value(self, freedom: float, directions: Array | None = None) -> float:
+    def p_value(
+        self, freedom: float, directions: Array | None = None, variance: float = 0.0
+    ) -> float:
         """Test whether the additional unknowns b, with the covariance C, are zero, by F(k, freedom) of b^T C^-1 b / k.
 
         Args:
             freedom: Degrees of freedom of the prior standard deviations in C.
             directions: Test only b along these directions, shape (k', k); None for all of b.
+            variance: That of errors of usual size along each direction, which is added to C: the test is then whether b
+                is larger than these; 0 for none.
 
         Returns:
-            The p-value: the probability of an F as large if these unknowns are zero.
+            The p-value: the probability of an F as large if these unknowns are zero, or errors of that size.
         """
         if directions is None:
             directions = np.eye(len(self.b))
         b = directions @ self.b
-        C = directions @ self.covariance @ directions.T
+        C = directions @ self.covariance @ directions.T + variance * np.eye(len(b))
         square = float(b @ np.linalg.solve(C, b))
         return float(fdtrc(len(b), max(freedom, 1.0), square / len(b)))
 
@@ -96,7 +100,7 @@ def estimate_jointly(
         determine each of these, and the prior standard deviation of each family, estimated again.
     """
     estimate = fitted.estimate
-    augmented = _augment(fitted, columns, of_distances)
+    augmented = augment(fitted, columns, of_distances)
 
     # The additional unknowns have no prior; parameters at their bounds stay there.
     prior = PriorTerms.of(fitted.task, fitted.kinematics.model, fitted.setup)
@@ -142,11 +146,17 @@ def estimate_jointly(
     )
 
 
-def _augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -> LinearProblem:
+def augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -> LinearProblem:
     """Linearise the problem of a fit at its solution, with k additional unknowns, the last of p + k parameters.
 
-    They are zero there. ``columns``, shape (N, D, k), are the derivatives of the predicted scalars by them, in the
-    units of the rows' channels; ``of_distances``, shape (K, k), those of the predicted known distances [m], None: zero.
+    Args:
+        fitted: A fit to N rows of D scalars.
+        columns: Derivative of the predicted scalars by each unknown, shape (N, D, k), in the units of the rows'
+            channels.
+        of_distances: Derivative of the K predicted known distances between frames [m], shape (K, k); None for zero.
+
+    Returns:
+        The linear problem; the unknowns are zero at the solution.
     """
     problem = fitted.estimate.problem
     linear = problem.linear(fitted.estimate.x)
@@ -218,7 +228,7 @@ def gain_on_blocks(fitted: Fitted, columns: Array, weights: Array) -> float:
     """
     linear = fitted.estimate.problem.linear(fitted.estimate.x)
     before = _error_of_blocks(fitted, linear, weights)
-    after = _error_of_blocks(fitted, _augment(fitted, columns), weights)
+    after = _error_of_blocks(fitted, augment(fitted, columns), weights)
     if not before > 0.0:
         return 0.0
     return 1.0 - after / before

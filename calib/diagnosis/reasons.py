@@ -120,6 +120,8 @@ class Why(str, Enum):
 
     # Given values are in doubt
     TARGET_FAR = "target_far", Role.GIVEN
+    MEASUREMENTS_COMPUTED = "measurements_computed", Role.GIVEN
+    OTHER_VARIANT = "other_variant", Role.GIVEN
     BASE_MOVED = "base_moved", Role.GIVEN
     LENGTHS_SCALED = "lengths_scaled", Role.CARE
     SCALE_HIDDEN = "scale_hidden", Role.CARE

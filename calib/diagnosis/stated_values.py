@@ -23,7 +23,7 @@ from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.special_cases.pose_covariances import covariance_support
 from calib.model.dh_table import zero_poses
-from calib.model.families import ANGLE, LENGTH, ZERO
+from calib.model.families import ANGLE, FAMILIES, LENGTH, ZERO
 from calib.model.internals import StatedSize
 from calib.model.kinematics import Sightings
 from calib.numerics.errors import rms
@@ -60,20 +60,23 @@ _TELLING = 10.0
 _SURE = 0.95
 
 
-def contradicted_values(fitted: Fitted, scale: Scale | None) -> Iterator[Reason]:
+def contradicted_values(
+    fitted: Fitted, scale: Scale | None, *, frame_aligned: bool = False
+) -> Iterator[Reason]:
     """Find stated values that the rows contradict, and covariances that explain nothing.
 
     Args:
         fitted: A fit. Unless its prior standard deviations were estimated from the data, only the covariances of poses
             are examined.
         scale: The scale error of the instrument, as `instrument_scale` estimates it.
+        frame_aligned: Whether the user states that a known measurement frame was aligned with the base.
 
     Yields:
         A reason for each.
     """
     task = fitted.task
     if task.has_weights_and_priors and task.cell.priors.source == "data":
-        base = motion_of_base(fitted)
+        base = None if frame_aligned else motion_of_base(fitted)
         if (
             base is not None
             and base.p < UNLIKELY
@@ -111,15 +114,15 @@ class BaseMotion:
 def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     """Estimate the displacement of the base in a frame that was taken as known.
 
-    Across the first joint's axis only an error of this joint's axis in the base does what the base does: there the test
-    is against noise alone. Along and about the axis a motion may be the joint's offset: there it must be far larger
-    than the offsets of the other joints.
+    What the base does, an error of the first joint's axis in the base and the joint's offset do as well. So the motion
+    must be far larger than such errors are: across the axis, those of lengths and angles of this arm or of usual ones,
+    whichever are larger; along and about it, the offsets of the other joints.
 
     Args:
         fitted: A fit with prior standard deviations from the data.
 
     Returns:
-        The motion along the directions that are significant, zero if none is, with the smallest p-value of the three
+        The motion along the directions that are significant, zero if none is, with the smallest p-value of the four
         tests; None if no position was measured in a known frame.
     """
     problem, x = fitted.estimate.problem, fitted.estimate.x
@@ -151,18 +154,20 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
     # Two shifts and two turns across the first joint's axis, the shift along it, and the turn about it.
     axis = T_base_first[:3, :3] @ np.asarray(robot.joints[0].axis)
     normals = np.linalg.svd(axis[None])[2][1:]
-    across = np.block([[normals, np.zeros((2, 3))], [np.zeros((2, 3)), normals]])
+    shifts = np.hstack([normals, np.zeros((2, 3))])
+    turns = np.hstack([np.zeros((2, 3)), normals])
     along = np.concatenate([axis, np.zeros(3)])
     about = np.concatenate([np.zeros(3), axis])
     freedom = float(np.sum(joint.determined[model.of_robot & ~of_first]))
     p_values = (
-        joint.p_value(freedom, across),
+        _p_across(joint, shifts, LENGTH, freedom, fitted.estimate.freedom),
+        _p_across(joint, turns, ANGLE, freedom, fitted.estimate.freedom),
         _p_of_offset(float(along @ joint.b), joint, model.family(LENGTH), (LENGTH,)),
         _p_of_offset(float(about @ joint.b), joint, model.family(ANGLE, ZERO), (ZERO, ANGLE)),
     )
-    projections = (across.T @ across, np.outer(along, along), np.outer(about, about))
+    parts = (shifts, turns, along[None], about[None])
     motion = np.zeros(6)
-    significant = [P for P, p in zip(projections, p_values, strict=True) if p < UNLIKELY]
+    significant = [part.T @ part for part, p in zip(parts, p_values, strict=True) if p < UNLIKELY]
     if significant:
         motion = np.sum(significant, axis=0) @ joint.b
 
@@ -175,6 +180,20 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
         effect=rms(np.linalg.norm(by_base, axis=1)),
         effect_of_arm=rms(np.linalg.norm(by_arm, axis=1)),
     )
+
+
+def _p_across(
+    joint: AugmentedFit, directions: Array, name: str, freedom: float, of_noise: float
+) -> float:
+    """Return the p-value of a motion along directions, (2, 6), if it is an error of the first joint's axis.
+
+    Such an error is drawn like the arm's others of the family ``name``, whose size has some degrees of freedom; or has
+    the usual size if that is larger, which is known: then the freedom is that of the noise.
+    """
+    size, usual = joint.prior_std.get(name, 0.0), FAMILIES[name].typical
+    if size < usual:
+        size, freedom = usual, of_noise
+    return joint.p_value(freedom, directions, size**2)
 
 
 def _p_of_offset(offset: float, joint: AugmentedFit, family: Mask, names: tuple[str, ...]) -> float:

@@ -163,7 +163,8 @@ def _assemble_validated(
             if progress is not None:
                 progress(part * folds + done, parts * folds)
 
-        return cross_validation(fitted, outliers, report)
+        # Gross rows that only a non-geometric model shows are not what it is off by at a new point.
+        return cross_validation(fitted, outliers | fitted.estimate.outliers, report)
 
     def squares(validation: CrossValidation) -> float:
         """Sum the squared held-out residuals in standard deviations of the geometry's noise, outliers aside."""

@@ -148,9 +148,9 @@ def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[floa
     """Return expected errors over the joint limits, rms [m]: of a model, of the nominal robot, and the scale's part.
 
     With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
-    factor f by which extrapolated errors exceed their variance, the model is off by e^2 = v_0 + f (v - v_0). It is d
-    away from the nominal robot, of which (f - 1) (v - v_0) is error of its own: the nominal robot is off by d^2 - (f -
-    1) (v - v_0) + v, and by no less than the model. A scale error s of the instrument, with the mean m and the variance
+    variance w that is added to this beyond them (`FittedModel.added_variance`), the model is off by e^2 = v_0 + w. It
+    is d away from the nominal robot, of which w - (v - v_0) is error of its own: the nominal robot is off by d^2 - (w -
+    (v - v_0)) + v, and by no less than the model. A scale error s of the instrument, with the mean m and the variance
     u, adds (m^2 + u) |J g|^2 to the model's e^2, by the growth g of the parameters; the nominal robot's d is then that
     from the model less m g, and u |J g|^2 is added. If the frame was estimated, or no row determines where the base
     stands, rigid motions of all positions do not count.
@@ -176,9 +176,9 @@ def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[floa
     d_square = float(np.mean(np.sum(away**2, axis=(1, 2))))
     v = float(np.mean(np.einsum("nip,pq,niq->n", J, model.covariance, J, optimize=True)))
     v_0 = min(model.noise_measured**2, v)
-    added = v - v_0
-    of_model = v_0 + model.extrapolation * added
-    of_nominal = max(d_square - (model.extrapolation - 1.0) * added + v, of_model)
+    added = model.added_variance(v - v_0)
+    of_model = v_0 + added
+    of_nominal = max(d_square - (added - (v - v_0)) + v, of_model)
     by_scale = (mean**2 + variance) * growth_square
     return (
         float(np.sqrt(of_model + by_scale)),

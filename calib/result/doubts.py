@@ -9,12 +9,14 @@ import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.diagnosis.augmented_fit import thin
+from calib.diagnosis.computed import computed_measurements
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.diagnosis.usual_mistakes import doubtful_senses
+from calib.diagnosis.variant import other_variant
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.special_cases.arm_size import measures_length
 from calib.fit.registration.rows import Rows
@@ -64,8 +66,12 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
             if distance > _ELSEWHERE:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
+    yield from computed_measurements(fitted)
+    yield from other_variant(result.nominal, result.robot)
+
     few, chosen = thin(fitted)
-    yield from contradicted_values(few, (result.non_geometric or result.geometry).scale)
+    scale = (result.non_geometric or result.geometry).scale
+    yield from contradicted_values(few, scale, frame_aligned=cell.frame_aligned)
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)

@@ -21,6 +21,7 @@ from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.diagnosis.stated_values import Scale, instrument_scale
+from calib.diagnosis.untold import untold_error
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
 from calib.model.error_model import FRAME, TARGET, ErrorModel
@@ -109,6 +110,8 @@ class FittedModel(Value):
     scale: Scale | None = None
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
+    #: Error over the joint limits that families of errors add of which the rows do not tell the sizes [m]
+    untold: float = 0.0
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None = None
 
@@ -165,13 +168,15 @@ class FittedModel(Value):
         if any(term.factor and term.factor.loaded for term in kinematics.model.terms):
             loads = gravity_loads(robot, q, cell.payload, cell.gravity)
         of_measured, scale_of_measured = model._expected_error(rows.samples)
-        everywhere, scale_everywhere = model._expected_error(Samples.at(q, loads, last_moves(q)))
+        everywhere = Samples.at(q, loads, last_moves(q))
+        of_everywhere, scale_everywhere = model._expected_error(everywhere)
         return replace(
             model,
             expected_measured=of_measured,
-            expected_everywhere=everywhere,
+            expected_everywhere=of_everywhere,
             scale_measured=scale_of_measured,
             scale_everywhere=scale_everywhere,
+            untold=untold_error(fitted, everywhere),
         )
 
     @property
@@ -197,13 +202,23 @@ class FittedModel(Value):
 
         It is that without a scale error of the instrument (``by_scale``).
         Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
-        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is ``extrapolation`` times as large, if it
-        is positive.
+        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is larger (`added_variance`).
         """
         at_measured = self.noise_measured**2
         added = self.expected_everywhere**2 - self.scale_everywhere**2 - at_measured
-        factor = self.extrapolation if added > 0.0 else 1.0
-        return float(np.sqrt(at_measured + added * factor))
+        return float(np.sqrt(at_measured + self.added_variance(added)))
+
+    def added_variance(self, by_covariance: float) -> float:
+        """Return what is added to the variance at the measured poses beyond them, with what the model lacks [m^2].
+
+        The variance v that the covariance adds is f v by rows that were extrapolated (``extrapolation``), and v + u^2
+        by the errors that the rows cannot tell (``untold``). Both estimate what is lacking, and the larger counts.
+
+        Args:
+            by_covariance: v [m^2]; if it is negative, f is 1.
+        """
+        factor = self.extrapolation if by_covariance > 0.0 else 1.0
+        return max(factor * by_covariance, by_covariance + self.untold**2)
 
     @property
     def by_scale(self) -> tuple[float, float]:

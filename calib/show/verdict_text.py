@@ -20,6 +20,9 @@ _SMALLEST_P = 1e-6
 #: A share below this is shown as such [%].
 _SMALLEST_PERCENT = 0.01
 
+#: If the other lengths have changed by more than this, rms, it is not one exchanged part [m].
+_MANY_LENGTHS = 1e-3
+
 _OFF = (
     "The nominal robot is {given_m:mm.0f} mm rms off, far more than an uncalibrated arm, but only "
     "{error_m:mm.1f} mm if "
@@ -130,11 +133,16 @@ SENTENCES = {
     Why.VALIDATION_NO_BETTER: "On the {rows} validation rows the error does not fall: {change}.",
     Why.TARGET_FAR: "The estimated target{named} is {far_m:mm.0f} mm from the position given: "
     "check the sign and the order of the numbers, and the tip.",
+    Why.MEASUREMENTS_COMPUTED: "Residual noise is {noise_m:mm.4f} mm per coordinate, no more than the rounding of the "
+    "table ({rounding_m:mm.4f} mm), which no instrument reaches: did the controller compute these positions from the "
+    "joint values? They say nothing about the arm then. Measure it with an instrument of its own.",
+    Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} mm, the "
+    "other lengths by {others_m:mm.2f} mm rms: no arm is made so far off. {variant}",
     Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
     "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
     "{arm_m:mm.1f} mm. Unless the measurement frame is aligned with the base better than that, "
-    "add --frame estimate.",
+    "add --frame estimate; if it is, state it in the cell file: frame_aligned = true.",
     Why.MUCH_REMAINS: "Much of the error remains: {remains:%.0f} % on held-out rows{free_of_noise} "
     "({change}{with_noise}).{better}",
     Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: "
@@ -358,6 +366,12 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
     else:  # of other reasons the rows may be a list, and this is not used
         rows_lie = f"{values.get('rows', 0)} validation rows lie"
 
+    variant = "Does the URDF describe this type and variant of the arm?"
+    if values.get("others_m", 0.0) > _MANY_LENGTHS:
+        variant += " Or, as others are off too, do joint values and positions belong together: same row, same moment?"
+    if values.get("arm"):
+        variant = f"The corrected lengths are those of a {values['arm']}: if the arm is one, use its URDF."
+
     p, falls = values.get("p", 1.0), values.get("falls", 0.0)
     words = {
         "before": f"{listed(before)} rms",
@@ -383,6 +397,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "of_station": "",
         "ranges": _ranges(values),
         "rows_lie": rows_lie,
+        "variant": variant,
         "place": f"'{values['image']}'" if "image" in values else f"row {values.get('row', 0)}",
         "better": "",
         "before_off": absurd_size(values, "before"),

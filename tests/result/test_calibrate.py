@@ -494,6 +494,22 @@ def test_families_that_are_named_make_the_larger_model(calibrated):
     assert sum(inside) >= 4
 
 
+def test_gross_rows_that_only_the_larger_model_shows_are_not_its_error(make_scene):
+    """Beside the millimetres that a geometry leaves of eccentricity, errors of 5 mm look like the rest."""
+    scene = make_scene(
+        5, frames=[np.eye(4)], model="dh+eccentricity", length=3e-4, angle=3e-3, noise=3e-5,
+        other={"eccentricity": 5e-3},
+    )  # fmt: skip
+    m = scene.points(60)
+    points = m.points.copy()
+    points[[5, 25, 45], 2] += 5e-3
+    result = calibrate(scene.robot, replace(m, points=points), model="dh+eccentricity")
+    assert result.non_geometric.new_point[0] < 2e-4
+    assert result.geometry.new_point[0] > 1e-3
+    # All rows are in the errors that leave none aside.
+    assert result.non_geometric.cross_validation.errors["m"].rms > 1e-3
+
+
 @pytest.fixture(scope="module")
 def refused(make_scene):
     """Rows of a robot with joint gains, and fits whose non-geometric model predicts held-out rows worse when refitted.

@@ -22,6 +22,7 @@ from calib.result.doubts import (
     noise_doubts,
 )
 from calib.robot.ranges import random_joint_values
+from calib.robot.robot import Robot
 from tests.judged import arm, judged, reasons, table_of
 from tests.parts import with_part
 
@@ -41,6 +42,18 @@ def test_a_target_that_is_not_where_it_was_given(make_scene):
     assert wrong.verdict.reasons[0].values["far_m"] == pytest.approx(0.2 * np.sqrt(2.0), abs=2e-3)
     near = judged(make_scene, 61, cell=Cell(model="dh", target=place + np.array([3e-3, 0.0, 0.0])))
     assert Why.TARGET_FAR not in reasons(near)
+
+
+def test_points_of_another_variant_of_the_arm(make_scene):
+    """A UR3's points with the URDF of a UR3e, whose d4 is 18.7 mm longer: rows agree, and the verdict asks."""
+    scene = arm(make_scene, 61)
+    table = table_of(scene, random_joint_values(scene.robot, 40, 1), np.random.default_rng(1))
+    other = Robot.load("ur3e", base="base", tip="tool0")
+    result = calibrate(other, table, model="dh", cell=Cell(estimate_frame=True))
+    first = result.verdict.reasons[0]
+    assert (result.verdict.use, first.why) == ("use with care", Why.OTHER_VARIANT)
+    assert first.values["moved_m"] == pytest.approx(18.7e-3, abs=2e-3)
+    assert first.values["arm"] == "UR3"
 
 
 def test_a_base_that_does_not_stand_where_the_known_frame_puts_it(make_scene):

@@ -167,3 +167,14 @@ def test_a_wrong_cell_of_dh_rows_is_told_with_its_numbers():
         "'d' of 'J4' is 420 mm instead of 411 mm (9 mm too short) and 'alpha' of 'J6' is -90 deg instead of 0 deg. "
         "A tool that the controller adds, or the line 'tool', would have the same effect."
     )
+
+
+@pytest.mark.parametrize(
+    ("arm", "others", "asks"),
+    [("", 2e-4, False), ("", 2e-3, True), ("UR3", 2e-3, False)],
+)
+def test_many_lengths_that_are_off_may_be_other_joint_values(arm, others, asks):
+    """One length alone is a variant's; of a variant that is known nothing is asked, it is named."""
+    values = {"joint": "elbow", "length": "d", "moved_m": 0.02, "others_m": others, "arm": arm}
+    text = reason_text(Reason.of(Why.OTHER_VARIANT, **values))
+    assert ("same moment" in text, f"a {arm}:" in text) == (asks, bool(arm))

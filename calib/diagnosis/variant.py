@@ -1,0 +1,92 @@
+"""Lengths that no arm is off by: the robot may be another variant than its URDF describes.
+
+Arms are made to tenths of a millimetre; types and variants of one maker differ by millimetres and more, mostly in some
+lengths only (UR3 and UR3e in d4, by 18.7 mm). A fit makes up for the difference: rows agree, and the arm in the URDF is
+still another one in meshes, masses and limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.basics.arrays import Array
+from calib.diagnosis.reasons import Reason, Why
+from calib.model.dh_table import dh_table
+from calib.numerics.errors import rms
+from calib.robot.robot import Robot
+from calib.robot.ur_models import MODELS
+
+#: A larger error of a length is not an arm's, which is made to tenths of a millimetre [m].
+_NO_ARM = 5e-3
+
+#: Nor is one so many times the rms of the arm's other errors in length, which have the same causes.
+_UNLIKE_OTHERS = 20.0
+
+#: Variants do not differ by less than this, such as the error of a flange or of a washer [m].
+_NO_VARIANT = 1e-3
+
+#: An arm has the lengths of a type if none differs by more than this, a few times the largest error of an arm [m].
+_SAME_ARM = 2e-3
+
+
+def other_variant(nominal: Robot, corrected: Robot) -> Iterator[Reason]:
+    """Yield a reason if a length of an arm has changed by more than any arm's is off.
+
+    Lengths are a and d of DH rows, d of parallel axes in one of them, from the second to the last but one: the others
+    are where base and target are.
+
+    Args:
+        nominal: The robot of the URDF.
+        corrected: The same with the corrections of a fit.
+
+    Yields:
+        The reason with the joint of the row, the length, ``"a"`` or ``"d"``, its change and the rms change of the other
+        lengths [m], and the type of arm whose lengths the corrected robot has, "" if none is known.
+    """
+    of_nominal, of_corrected = _arm_lengths(nominal), _arm_lengths(corrected, nominal)
+    sizes = np.abs(of_corrected - of_nominal)
+    if not sizes.size:
+        return
+    row, column = np.unravel_index(np.argmax(sizes), sizes.shape)
+    moved, rest = float(sizes[row, column]), np.delete(sizes, np.argmax(sizes))
+    others = rms(rest)
+    if moved > max(_NO_VARIANT, min(_NO_ARM, _UNLIKE_OTHERS * others)):
+        yield Reason.of(
+            Why.OTHER_VARIANT,
+            joint=nominal.joints[1 + int(row)].name,
+            length="ad"[int(column)],
+            moved_m=moved,
+            others_m=others,
+            arm=_type_of_ur(of_nominal, of_corrected),
+        )
+
+
+def _arm_lengths(robot: Robot, like: Robot | None = None) -> Array:
+    """Return a and d of a robot's joints from the second to the last but one, shape (n - 2, 2) [m].
+
+    Open choices of the rows are those of the robot ``like``.
+    """
+    rows = dh_table(robot, like=like).rows
+    return np.array([[row.a, row.d] for row in rows[1:-1]]).reshape(-1, 2)
+
+
+def _type_of_ur(nominal: Array, corrected: Array) -> str:
+    """Return the name of the arm of Universal Robots that has the corrected lengths, shape (n - 2, 2) [m], if any has.
+
+    "" if there is none, or the nominal lengths are not of such an arm, or of the same.
+    """
+
+    def types(lengths: Array) -> list[str]:
+        """List the arms with these lengths."""
+        rows = [(arm.name, arm.rows[1:-1, 1:3]) for arm in MODELS]
+        return [
+            name
+            for name, of_arm in rows
+            if of_arm.shape == lengths.shape and np.abs(of_arm - lengths).max() < _SAME_ARM
+        ]
+
+    of_nominal = types(nominal)
+    others = [name for name in types(corrected) if name not in of_nominal]
+    return others[0] if of_nominal and others else ""
