@@ -123,8 +123,8 @@ def untold_error(fitted: Fitted, everywhere: Samples) -> float:
 
 
 def _families() -> list[str]:
-    """Return the names of the families whose errors depend on joint values alone."""
-    return [name for name, family in FAMILIES.items() if not (family.loaded or family.moved)]
+    """Return the names of the usual families whose errors depend on joint values alone."""
+    return [name for name, family in FAMILIES.items() if not (family.loaded or family.rarity)]
 
 
 def _further_model(fitted: Fitted, names: list[str]) -> ErrorModel:

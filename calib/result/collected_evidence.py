@@ -244,10 +244,9 @@ def _notes(result: Calibration) -> Iterator[Reason]:
     larger, validated = result.non_geometric, result.cross_validation
     if larger is not None and larger.cross_validation is not None and larger.verdict is not None:
         errors = larger.cross_validation.errors_without_outliers
-        no_closer = (
-            validated is not None
-            and errors.leading.rms >= validated.errors_without_outliers.leading.rms
-        )
+        # Over all rows, as each model sets its own outliers aside.
+        of_all = larger.cross_validation.errors.leading.rms
+        no_closer = validated is not None and of_all >= validated.errors.leading.rms
         why = Why.LARGER_NO_CLOSER if no_closer else Why.LARGER_MODEL
         yield Reason.of(why, model=larger.name, after=errors, use=larger.verdict.use)
         yield from _lags(larger)

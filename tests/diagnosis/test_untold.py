@@ -26,7 +26,10 @@ def calibrated_in_part(robot, share, seed, model="dh", **cell):
     q = centre + share * (random_joint_values(robot, 30, seed + 2) - centre)
     points = truth.points(q) + NOISE * np.random.default_rng(seed).normal(size=(30, 3))
     result = calibrate(
-        robot, Measurements(robot.joint_names, q, points), cell=Cell(**cell), model=model
+        robot,
+        Measurements(robot.joint_names, q, points),
+        cell=Cell(scale_certified=True, **cell),
+        model=model,
     )
     fresh = random_joint_values(robot, 300, 99)
     table = Measurements(robot.joint_names, fresh, truth.points(fresh))
