@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.errors import ModelError
 from calib.model.kinematics import Samples
+from calib.numerics.moves import last_moves
+from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration, is_corrected, joint_of_another_run
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
@@ -193,3 +196,21 @@ def test_a_target_link_is_for_one_target(calibrated, tmp_path):
     q = random_joint_values(turned.nominal, 5, 2)
     into_base = np.linalg.inv(turned.T_frame_base)
     np.testing.assert_allclose(robot.poses(q), into_base @ turned.predict_poses(q), atol=1e-9)
+
+
+def test_predictions_go_from_row_to_row(ur3):
+    """A joint that stops short does so after the move from the row before; or after moves that are given."""
+    q = random_joint_values(ur3, 40, 3)
+    T = ur3.poses(q - 1e-3 * np.sign(last_moves(q)))
+    m = Measurements(ur3.joint_names, q, T[:, :3, :3] @ [0.05, 0.02, 0.1] + T[:, :3, 3])
+    c = calibrate(ur3, m, model="zeros+lost_motion", validate=False)
+    np.testing.assert_allclose(c.predict(q)[1:], m.points[1:], atol=2e-5)
+    np.testing.assert_allclose(
+        c.predict(q[::-1], moves=m.moves[::-1]), c.predict(q)[::-1], atol=1e-12
+    )
+    assert np.abs(c.predict(q[::-1])[::-1] - c.predict(q)).max() > 5e-4
+    # A single row has no row before it: halfway between both sides.
+    sides = [c.predict(q[5], moves=[sign * np.ones(6)]) for sign in (1.0, -1.0)]
+    np.testing.assert_allclose(c.predict(q[5]), np.mean(sides, axis=0), atol=1e-5)
+    with pytest.raises(ModelError, match="moves"):
+        c.predict(q, moves=np.ones(6))
