@@ -24,6 +24,7 @@ from calib.instruments.tracker import TrackerInstrument
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
+from calib.numerics.moves import last_moves
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot
@@ -152,7 +153,8 @@ class Sensitivity:
     def _samples(self, q: Array) -> Samples:
         """Return N k samples at N poses (N, m): all k targets at the first pose, then at the second, ...
 
-        They have loads if an error of the model depends on these.
+        They have loads if an error of the model depends on these. The robot goes from each pose to the next: the order
+        to drive is not known yet, but in any order the joints come from both sides.
         """
         targets = len(self.setup.targets)
         load = None
@@ -163,7 +165,8 @@ class Sensitivity:
             load = np.repeat(of_poses, targets, axis=0)
         frame = np.zeros(targets * len(q), dtype=np.int_)
         target = np.tile(np.arange(targets), len(q))
-        return Samples(np.repeat(q, targets, axis=0), frame, target, load)
+        moves = np.repeat(last_moves(q), targets, axis=0)
+        return Samples(np.repeat(q, targets, axis=0), frame, target, load, moves=moves)
 
     def measured(self, q: Array) -> Array:
         """Differentiate what is measured by the parameters, whitened by the noise.

@@ -202,6 +202,17 @@ def test_the_rank_over_the_joint_limits_is_that_of_inspect(ur3, name):
         assert found.indices[index] == pytest.approx(value, rel=1e-6)
 
 
+def test_lost_motion_is_planned_for_as_if_driven_from_pose_to_pose(ur3):
+    """Each joint's is determined, as it comes from both sides; the forecast agrees with that of a table."""
+    cell = Cell(target=TARGET, model="zeros+lost_motion", sigma={"m": SIGMA})
+    found, without = (
+        forecast(ur3, replace(cell, model=model), spread_poses(ur3))
+        for model in (cell.model, "zeros")
+    )
+    assert found.rank == without.rank + 6
+    assert found.rank == inspect(ur3, cell).observability.rank
+
+
 def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
     noise = TrackerNoise(10e-6, 0.0, 40e-6)
     tracker = Tracker(np.array([3.0, 0.0, 0.0]), noise=noise)
