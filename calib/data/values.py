@@ -43,7 +43,7 @@ _NO_COMMAND = "no command: "
 #: Longest text of a cell that a message quotes.
 _QUOTED = 80
 
-#: Blocks of several columns; the others have one.
+#: Blocks of any number of columns; the others have one.
 _WIDE = (
     "joints",
     "torques",

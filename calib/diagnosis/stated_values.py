@@ -31,7 +31,7 @@ from calib.numerics.errors import rms
 #: A base that has moved is named if its effect on the rows is more than this share of that of the arm's corrections.
 _LIKE_THE_ARM = 0.5
 
-#: No arm is off by more than this share in all its lengths: a larger one is the instrument's scale error.
+#: Few arms are off by more than this share in all their lengths: a larger one is said, with both readings.
 _SCALED = 2e-3
 
 #: Relative errors of focal lengths and boards below this are of no consequence.
@@ -55,8 +55,8 @@ _NOTHING = 2.0
 #: That which they have at least if they are right and say something about so many poses.
 _TELLING = 10.0
 
-#: The error that is expected at a new point contains a scale error that one in twenty exceeds. It is one number that
-#: displaces all points, and would exceed its root mean square in every third case.
+#: The error that is expected at a new point contains a scale error that one in ten to twenty exceeds. It is one number
+#: that displaces all points, and would exceed its root mean square in every third case.
 _SURE = 0.95
 
 
@@ -250,8 +250,14 @@ class Scale:
 
     @property
     def bound(self) -> float:
-        """Size of the share that is exceeded with 5 % by chance, by the prior and the rows."""
-        return abs(self.mean) + float(stdtrit(self.freedom, _SURE) * np.sqrt(self.variance))
+        """Size of the share that is exceeded by chance in 5 to 10 %, by the prior and the rows.
+
+        Only as far as the rows determine the variance is it as uncertain as their ``freedom`` says.
+        """
+        if self._weight == 0.0:
+            return 0.0
+        freedom = self.freedom / self._weight**2
+        return abs(self.mean) + float(stdtrit(freedom, _SURE) * np.sqrt(self.variance))
 
     @property
     def _weight(self) -> float:

@@ -44,8 +44,9 @@ def untold_error(fitted: Fitted, everywhere: Samples) -> float:
     """Expect the error over the joint limits that families add of which the rows do not tell the sizes.
 
     Args:
-        fitted: A fit with priors. Families that depend on loads or on the order of the rows are left out: the joint
-            values alone say how far a measured region tells of the others.
+        fitted: A fit with priors. Of families outside of its model those that depend on loads, and rare ones, are left
+            out: the joint values alone say how far a measured region tells of the others. With given priors the sizes
+            of the model's own families are known.
         everywhere: Joint values over the joint limits, with loads if the model needs them.
 
     Returns:

@@ -6,7 +6,7 @@ A family of the *joints' state* moves a joint about, or along, its own axis by a
     gain          dq = g q
     eccentricity  dq = s sin q + c cos q       the encoder's once-per-turn error
     compliance    dq = c tau                   tau: the load on the joint, by gravity and payload, or measured
-    harmonic_2    dq = s sin 2q + c cos 2q     the error twice per turn, such as of a strain wave gear
+    harmonic_2    dq = s sin 2q + c cos 2q     the error twice per turn, such as of an oval encoder ring
     lost_motion   dq = -b sign(m)              backlash and friction: the joint stops short of its reading
     creep         dq = -k m                    what is still to come after a move, or a reading that is late
     gravity       dq = sum_l c_l z . ((p_l - p) x g / |g|)     p_l: the origins of later joints and the tip
@@ -298,7 +298,7 @@ _SIN_2 = Factor(
 _COS_2 = Factor(
     "cos_2", lambda state: np.cos(2.0 * state.q), lambda state: -2.0 * np.sin(2.0 * state.q)
 )
-# A command that is corrected by a fraction of a degree changes neither the sign nor much of the length of a move.
+# No slope: a command that is corrected by a fraction of a degree has nearly the same last move.
 _LOST_MOTION = Factor(
     "lost_motion", lambda state: -np.sign(state.last_move), slope=None, moved=True
 )
@@ -337,7 +337,7 @@ _ROWS = (
         typical=0.2e-3,
         factors=(_SIN_2, _COS_2),
         rarity=_RARE,
-        meaning="an encoder's or gear's twice-per-turn error",
+        meaning="an encoder's twice-per-turn error",
     ),
     Family(
         "lost_motion",

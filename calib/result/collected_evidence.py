@@ -222,7 +222,7 @@ def compare_validation_errors(
 def _lags(model: FittedModel) -> Iterator[Reason]:
     """Yield a reason for each family of lost motion that a model has: the joint that lags most, and by how much.
 
-    Joints whose interval contains none do not count.
+    Joints whose interval contains zero do not count.
     """
     for why, family in ((Why.STOPS_SHORT, "lost_motion"), (Why.CREEPS, "creep")):
         suffix = f".{family}"
@@ -236,7 +236,7 @@ def _lags(model: FittedModel) -> Iterator[Reason]:
 
 
 def _notes(result: Calibration) -> Iterator[Reason]:
-    """Yield reasons that only inform: a non-geometric model, copies of rows, validation rows outside joint ranges.
+    """Yield reasons that only inform: a non-geometric model, its lost motion, rows left out or changed or far away.
 
     Of the rows outside of the fitted ranges it states how many there are, and joint and distance [rad] or [m] of the
     farthest; the non-geometric model is stated only if it has a verdict.

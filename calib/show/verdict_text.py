@@ -134,10 +134,10 @@ SENTENCES = {
     Why.TARGET_FAR: "The estimated target{named} is {far_m:mm.0f} mm from the position given: "
     "check the sign and the order of the numbers, and the tip.",
     Why.MEASUREMENTS_COMPUTED: "Residual noise is {noise_m:mm.4f} mm per coordinate, no more than the rounding of the "
-    "table ({rounding_m:mm.4f} mm), which no instrument reaches: did the controller compute these positions from the "
-    "joint values? They say nothing about the arm then. Measure it with an instrument of its own.",
+    "table ({rounding_m:mm.4f} mm), as if nothing else disturbed it: did the controller compute these positions from "
+    "the joint values? Then they say nothing about the arm. Measure it with an instrument of its own.",
     Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} mm, the "
-    "other lengths by {others_m:mm.2f} mm rms: no arm is made so far off. {variant}",
+    "other lengths by {others_m:mm.2f} mm rms: no arm is built that inaccurately. {variant}",
     Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
     "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
@@ -218,10 +218,10 @@ SENTENCES = {
     Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
     "URDF can represent it; calib compensate and predict() use it.",
     Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions: {after}.",
-    Why.STOPS_SHORT: "'{joint}' stops {short} after each move{other_joints}. predict() and calib compensate "
-    "take the order of the rows into account; the URDF cannot: approach poses from one side.",
-    Why.CREEPS: "'{joint}' was measured {short} of its last move{other_joints}. Wait longer at each pose, or "
-    "let predict() and calib compensate take the order of the rows into account; the URDF cannot.",
+    Why.STOPS_SHORT: "'{joint}' {stops} after each move{other_joints}. A URDF cannot represent this: predict() and "
+    "calib compensate take the order of the rows into account; else approach poses from one side.",
+    Why.CREEPS: "'{joint}' {lacks} of its last move when it was measured{other_joints}. A URDF cannot represent this: "
+    "predict() and calib compensate take the order of the rows into account; else wait longer at each pose.",
     Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
     "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
     'scale is known better, say so in the cell file: instrument = "tracker", sigma_scale_percent, or, once a known '
@@ -377,8 +377,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "before": f"{listed(before)} rms",
         "after": f"{listed(after)} rms",
         "change": f"from {start} to {listed(after)} rms",
-        "short": _short(values),
-        "other_joints": f", and {plural(values['others_short'], 'other joint')} by less"
+        **_lag(values),
+        "other_joints": f" ({plural(values['others_short'], 'other joint')}: less)"
         if values.get("others_short")
         else "",
         "measured": " and ".join(measured),
@@ -485,17 +485,19 @@ def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]
     }
 
 
-def _short(values: Mapping[str, Any]) -> str:
-    """Return by how much a joint stops short, or too far: ``0.21 mrad short``; empty for values of other reasons."""
+def _lag(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return how a joint stops, ``"stops 0.21 mrad short"``, and what it lacks; none for values of other reasons."""
     for name, factor, unit in (
         ("lag_rad", 1e3, "mrad"),
         ("lag_m", 1e3, "mm"),
         ("lag_share", 1e2, "%"),
     ):
         if name in values:
-            side = "short" if values[name] > 0.0 else "too far"
-            return f"{factor * abs(values[name]):.2g} {unit} {side}"
-    return ""
+            size = f"{factor * abs(values[name]):.2g} {unit}"
+            if values[name] > 0.0:
+                return {"stops": f"stops {size} short", "lacks": f"still lacked {size}"}
+            return {"stops": f"stops {size} too far", "lacks": f"had overshot by {size}"}
+    return {}
 
 
 def _ranges(values: Mapping[str, Any]) -> str:

@@ -3,8 +3,8 @@
 Errors that depend on a joint's last move are determined by the order in which the poses were measured. If it does not
 matter, any other order explains the residuals as well. Evidence alone does not tell this where residuals are not white
 noise: what a joint does at random reaches all rows through the same arm. So a model with such errors is believed only
-if the measured order beats every one of `_ORDERS` orders drawn at random: a permutation test, whose level is
-1 / (`_ORDERS` + 1) whatever the noise.
+if the measured order beats every one of `_ORDERS` orders drawn at random: a permutation test, whose level is about
+1 / (`_ORDERS` + 1) whatever the noise, if the poses were not ordered by what disturbs them.
 
 With whitened columns F of these errors, B of all other parameters, and the residual r, the gain in log-likelihood by
 errors with prior standard deviations s is, with everything projected off B,
@@ -38,7 +38,8 @@ _SCALES = 2.0 ** np.arange(-4, 3)
 def order_matters(fitted: Fitted, families: tuple[str, ...]) -> bool:
     """Return whether the measured order explains the residuals better than every order drawn at random.
 
-    Poses are shuffled, not rows: all rows of a pose have the same last move.
+    Arrivals are shuffled, not rows: rows of one pose with one last move, such as those of several targets, stay
+    together, and a pose that was reached from both sides is two arrivals.
 
     Args:
         fitted: Fit of a model with such errors.
@@ -62,17 +63,19 @@ def order_matters(fitted: Fitted, families: tuple[str, ...]) -> bool:
         return _gain(np.column_stack([jacobian, residual]), of_order, np.array(prior_std))
 
     samples = problem.rows.samples
-    leaders, pose = np.unique(same_poses(samples.q), return_inverse=True)
+    assert samples.moves is not None
+    labels = same_poses(np.hstack([samples.q, samples.moves]))
+    leaders, arrival = np.unique(labels, return_inverse=True)
     measured = gain(samples.moves)
     rng = np.random.default_rng(_SEED)
     return all(
-        measured > gain(_moves_of(samples.q[leaders], rng.permutation(len(leaders)))[pose])
+        measured > gain(_moves_of(samples.q[leaders], rng.permutation(len(leaders)))[arrival])
         for _ in range(_ORDERS)
     )
 
 
 def _moves_of(q: Array, order: Integers) -> Array:
-    """Return the last move before each of n poses (n, m) [rad] or [m] that are visited in an order, (n,)."""
+    """Return the last moves before n arrivals at poses (n, m), [rad] or [m], that come in an order, (n,)."""
     moves = np.empty(q.shape)
     moves[order] = last_moves(q[order])
     return moves
