@@ -10,7 +10,7 @@ TOOL = np.array(
 START = np.radians([-20.0, -80.0, 85.0, -95.0, -90.0, 0.0])  # joint values at the path's start
 
 robot = calib.Robot.load("ur3", base="base", tip="tool0")  # the model in the controller
-cell = calib.Cell(target=TOOL, estimate_target=False)
+cell = calib.Cell(target=TOOL, estimate_target=False, instrument="tracker")
 scenario = calib.Scenario(robot, cell=cell)
 virtual = scenario.draw(seed=5)  # the real robot
 data = virtual.measure(scenario.random_poses(40, seed=5), seed=5).measurements

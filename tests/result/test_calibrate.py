@@ -259,7 +259,7 @@ def test_expected_errors_are_those_of_the_covariance(virtual):
         x = virtual.offsets(rng, 2e-4, 3e-3)
         rows = virtual.rows(rng, x, 40, 1e-4)
         data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.measured)
-        result = calibrate(robot, data, validate=False)
+        result = calibrate(robot, data, cell=Cell(scale_certified=True), validate=False)
         errors = result.predict(q) - virtual.kinematics.points(x, q)
         ratios.append(np.mean(np.sum(errors**2, axis=1)) / result.geometry.expected_everywhere**2)
         assert result.geometry.expected_measured < result.geometry.expected_everywhere
