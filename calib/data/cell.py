@@ -280,7 +280,7 @@ class Cell(Value):
     #: What measures the target, a name of `SCALE_SIGMAS`: how well its scale is known; None: not said.
     instrument: str | None = key(
         "instrument",
-        one_of(SCALE_SIGMAS),
+        one_of(tuple(SCALE_SIGMAS)),
         "What measures: it says how well the scale is known, as a standard deviation: tracker 0.002 %, stereo and "
         "motion_capture 0.05 %, print 0.3 %.",
         default=None,

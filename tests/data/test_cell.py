@@ -75,3 +75,40 @@ def test_a_cell_in_one_line():
     assert repr(Cell()) == "Cell(model 'auto')"
     cell = Cell(model="dh", target=(0.1, 0.0, 0.0), held={"a": 0.1})
     assert repr(cell) == "Cell(model 'dh', given: target, held)"
+
+
+@pytest.mark.parametrize(
+    ("text", "sigma"),
+    [
+        ("", 1e-2),
+        ('instrument = "tracker"', 2e-5),
+        ('instrument = "stereo"', 5e-4),
+        ('instrument = "motion_capture"', 5e-4),
+        ('instrument = "print"', 3e-3),
+        ("scale_certified = true", 0.0),
+        ("sigma_scale_percent = 0.05", 5e-4),
+        ("scale_certified = true\nsigma_scale_percent = 0.01", 1e-4),
+        ("sigma_scale_percent = 0.0", 0.0),
+    ],
+)
+def test_a_cell_file_says_how_well_the_scale_is_known(tmp_path, text, sigma):
+    path = tmp_path / "cell.toml"
+    path.write_text(text)
+    assert Cell.read(path).scale_sigma == pytest.approx(sigma, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [('instrument = "laser"', "instrument"), ("sigma_scale_percent = -1.0", "0 or more")],
+)
+def test_a_scale_that_is_refused_is_told(tmp_path, text, says):
+    path = tmp_path / "cell.toml"
+    path.write_text(text)
+    with pytest.raises(CalibError, match=says):
+        Cell.read(path)
+
+
+def test_a_frame_is_stated_as_aligned(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text("frame_aligned = true")
+    assert Cell.read(path).frame_aligned
