@@ -200,9 +200,8 @@ class FittedModel(Value):
     def expected_elsewhere(self) -> float:
         """Standard deviation of the predicted point over the joint limits, rms [m], with what the model lacks.
 
-        It is that without a scale error of the instrument (``by_scale``).
-        Errors that the model lacks do not average out over rows: beyond the measured poses the variance that the
-        covariance adds, ``expected_everywhere``^2 - ``expected_measured``^2, is larger (`added_variance`).
+        The scale error of the instrument is not in it (``by_scale``). Errors that the model lacks do not average out
+        over rows: what the covariance adds to the variance beyond the measured poses is larger (`added_variance`).
         """
         at_measured = self.noise_measured**2
         added = self.expected_everywhere**2 - self.scale_everywhere**2 - at_measured
