@@ -98,7 +98,7 @@ def test_auto_finds_what_is_there():
     assert picked in ("dh+compliance", "dh+gravity")
 
 
-@pytest.mark.parametrize("seed", [1104, 1155])
+@pytest.mark.parametrize("seed", [1004, 1103])
 def test_a_geometry_that_left_out_poses_contradict_predicts_worse(seed):
     """Two of the robots whose likeliest set is not the one that `auto` takes."""
     _, table = drawn_widely(seed)
@@ -109,7 +109,7 @@ def test_a_geometry_that_left_out_poses_contradict_predicts_worse(seed):
     assert fits.geometry.task.model != likeliest
     named = replace(table.cell, model=likeliest)
     other = fit_table(table.robot, table.measurements, named)
-    assert table.error(fits.geometry) < 0.95 * table.error(other.geometry)
+    assert table.error(fits.geometry) < 0.9 * table.error(other.geometry)
 
 
 def test_the_study_has_every_robot_with_two_joints_or_more():
