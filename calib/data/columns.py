@@ -41,6 +41,9 @@ STATUS = "status"
 #: Allowed words of the column ``set``.
 SETS = ("estimate", "validate")
 
+#: Word of the column ``set`` for a pose that is only driven through, so that the next one is approached from there.
+VIA = "via"
+
 #: Name of the target of rows without a column ``target``.
 DEFAULT_TARGET = "target"
 

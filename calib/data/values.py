@@ -14,7 +14,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
-from calib.data.columns import MOVE, POINT, SETS, STATUS, TORQUE, WORD_COLUMNS
+from calib.data.columns import MOVE, POINT, SETS, STATUS, TORQUE, VIA, WORD_COLUMNS
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
@@ -59,7 +59,8 @@ _WIDE = (
 def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
     """Read what the rows of a table hold.
 
-    Rows in which all cells of the measurement are empty, or whose status says that they have no command, are left out.
+    Rows in which all cells of the measurement are empty, or whose status says that they have no command, and poses that
+    are only driven through are left out; the joints' last moves know them.
 
     Args:
         table: The table.
@@ -147,7 +148,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         "ignored": layout.ignored,
         "kinds": kinds[measured].tolist(),
         "rows": list(compress(row_numbers, measured)),
-        "unmeasured": list(compress(row_numbers, ~measured)),
+        "unmeasured": list(compress(row_numbers, ~measured & ~_driven_through(table, layout))),
     }
 
 
@@ -202,13 +203,20 @@ def _used_numbers(table: Table, layout: Layout, kinds: Words) -> dict[str, Array
     return blocks
 
 
+def _driven_through(table: Table, layout: Layout) -> Mask:
+    """Mark the rows of poses that are not measured but only driven through, shape (rows,)."""
+    if "set" not in layout.words:
+        return np.zeros(len(table.cells), dtype=np.bool_)
+    return np.asarray(np.array(table.column(layout.words["set"]), dtype=np.str_) == VIA)
+
+
 def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -> Mask:
     """Mark the rows that hold a measurement, shape (rows,), of numbers as written in the cells.
 
     MeasurementError if such a row lacks a number that its kind uses, or has one that is not finite; of a pair one row
     may lack what is measured.
     """
-    measured = np.ones(len(table.cells), dtype=np.bool_)
+    measured = ~_driven_through(table, layout)
     if STATUS in layout.words:
         status = table.column(layout.words[STATUS])
         measured &= [not word.startswith(_NO_COMMAND) for word in status]
@@ -285,7 +293,7 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
     for word in set(sets) - set(SETS):
         column = layout.words["set"]
         what = (
-            f"'{word}' is not a set; allowed are {choices(SETS)}. Correct it; if the column means "
+            f"'{word}' is not a set; allowed are {choices((*SETS, VIA))}. Correct it; if the column means "
             f'something else, --columns "{column.label}=-" leaves it out.'
         )
         for i in np.flatnonzero(measured).tolist():

@@ -23,6 +23,8 @@ from calib.basics.values import Value
 from calib.errors import ModelError
 from calib.instruments.camera import USUAL_LIMITS, SightLimits
 from calib.model.observability import steps
+from calib.numerics.moves import last_moves
+from calib.verbs.plan.approach import SIDES, visits
 from calib.verbs.plan.forecast import Forecast, Workspace, information
 from calib.verbs.plan.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
 from calib.verbs.plan.pose_candidates import Pool
@@ -66,6 +68,9 @@ class PlanRequest(Value):
     start: ArrayLike | None = None
     #: Whether other numbers of poses, from half to three times ``count``, are forecast too.
     ladder: bool = True
+    #: How poses are approached: ``"straight"``, from the pose before; ``"one"``, with every joint rising; ``"both"``:
+    #: each pose is measured twice, once with every joint rising and once falling.
+    approach: str = "straight"
     #: The same seed makes the same plan.
     seed: int = 0
     #: For images: where the board may be in the camera.
@@ -79,6 +84,7 @@ class PlanRequest(Value):
         check_type("candidates", self.candidates, whole_or_none, "a whole number, or None")
         check_whole("seed", self.seed, 0)
         check_type("criterion", self.criterion, str, "'V', 'D' or 'A'")
+        check_type("approach", self.approach, str, "'straight', 'one' or 'both'")
         check_number("margin", self.margin, 0.0)
         check_flags(ladder=self.ladder)
         check_type("sight", self.sight, SightLimits, "SightLimits")
@@ -87,9 +93,13 @@ class PlanRequest(Value):
             finite_numbers("start", start.ravel(), (None,), "finite joint values")
 
     def check(self, candidates: int) -> None:
-        """Raise `ModelError` for an unknown criterion, no pose, or more poses than candidates or `MOST_POSES`."""
+        """Raise `ModelError` for an unknown criterion or approach, no pose, or more than candidates or `MOST_POSES`."""
         if self.criterion not in ("V", "D", "A"):
             raise ModelError(f"There is no criterion '{self.criterion}'. Choose V, D or A.")
+        if self.approach not in SIDES:
+            raise ModelError(
+                f"There is no approach '{self.approach}'. Choose straight, one (side) or both (sides)."
+            )
         total = self.count + self.validation
         most = min(candidates, MOST_POSES)
         if self.count < 1 or self.validation < 0 or total > most:
@@ -115,6 +125,8 @@ class Choice(NamedTuple):
     at_random: Forecast
     #: Numbers of planned poses in rising order, and the forecast for each.
     ladder: tuple[tuple[int, Forecast], ...]
+    #: The poses over which accuracy is forecast.
+    workspace: Workspace
 
 
 def choose_poses(
@@ -123,6 +135,7 @@ def choose_poses(
     request: PlanRequest,
     taken: Array | None = None,
     *,
+    sides: Array | None = None,
     progress: Progress | None = None,
 ) -> Choice:
     """Choose the poses of a plan from candidates, and forecast what a fit of them will reach.
@@ -133,6 +146,8 @@ def choose_poses(
         request: Numbers of poses, criterion and seed.
         taken: Poses that are measured already, shape (T, m), [rad] or [m]: they count in the information, and are not
             planned again; None: none are.
+        sides: Moves by which the joints arrive at each pose, shape (s, m), see `calib.verbs.plan.approach.approaches`;
+            None: straight from the pose before.
         progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.
 
     Returns:
@@ -143,6 +158,8 @@ def choose_poses(
     """
     if taken is None:
         taken = pool.q[:0]
+    if sides is None:
+        sides = pool.q[:0]
     # The candidates that differ from all poses measured already in some joint.
     repeated = np.zeros(len(pool.q), dtype=np.bool_)
     for pose in taken:
@@ -151,7 +168,8 @@ def choose_poses(
     q = pool.q[~repeated]
     request.check(len(q))
 
-    measured = sensitivity.measured(q)
+    # What is measured of a pose from all sides.
+    measured = sensitivity.measured(*visits(q, sides)).reshape(len(q), -1, len(sensitivity.names))
     workspace = Workspace.of(sensitivity, pool.workspace, pool.measurable)
     known = np.diag(sensitivity.precision)
     if len(taken):
@@ -173,7 +191,10 @@ def choose_poses(
 
     def forecast(indices: Indices) -> Forecast:
         """Forecast a fit of the poses taken and of some candidates."""
-        return Forecast.of(sensitivity, workspace, np.concatenate([taken, q[indices]]))
+        joints, moves = visits(q[indices], sides)
+        joints = np.concatenate([taken, joints])
+        moves = np.concatenate([last_moves(taken), moves])
+        return Forecast.of(sensitivity, workspace, joints, moves)
 
     restarts = 1 if request.count > _MANY else RESTARTS
     chosen = choose(blocks, basis, request.count, request.seed, restarts, rank)
@@ -210,6 +231,7 @@ def choose_poses(
         before=forecast(chosen[:0]) if len(taken) else None,
         at_random=at_random[_RANDOM // 2],
         ladder=tuple(ladder),
+        workspace=workspace,
     )
 
 

@@ -58,6 +58,14 @@ class PoseOptions:
             help="Number of random poses to choose from. Default: 20000, or 600 for images.",
         ),
     ] = None
+    approach: Annotated[
+        str,
+        typer.Option(
+            metavar="straight|one|both",
+            help="How to come to a pose. straight: from the pose before; one: with every joint rising; both: measure each "
+            "pose twice, with every joint rising and falling, which shows lost motion.",
+        ),
+    ] = "straight"
     seed: Seed = 0
     margin: Annotated[
         str, typer.Option(metavar="ANGLE", help="Margin kept from the joint limits.")
@@ -94,6 +102,7 @@ class PoseOptions:
             self.candidates,
             parse_amount(self.margin, "--margin", ANGLE, "5 deg"),
             start=start,
+            approach=self.approach,
             seed=self.seed,
             sight=sight,
         )

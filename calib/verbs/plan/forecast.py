@@ -111,7 +111,9 @@ class Forecast(Value):
         keep_read_only(self, "indices", "sigma")
 
     @classmethod
-    def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
+    def of(
+        cls, sensitivity: Sensitivity, workspace: Workspace, q: Array, moves: Array | None = None
+    ) -> Forecast:
         """Forecast the accuracy of a fit of measurements at poses.
 
         The parameters' covariance after the fit, by measurements and priors, is propagated to the workspace.
@@ -121,8 +123,9 @@ class Forecast(Value):
             workspace: The poses over which accuracy counts.
             q: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
                 ``robot.joint_names``.
+            moves: Last move of each joint before each pose, shape (N, m); None: from the pose before.
         """
-        measured = sensitivity.measured(q)
+        measured = sensitivity.measured(q, moves)
         root = covariance_root(measured, sensitivity.precision)
         variance, relative, squares = _spreads(workspace, root)
         rms_low, rms_high = _range_of_rms(squares)
@@ -190,7 +193,9 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike) -> Forecast:
     return Forecast.of(sensitivity, workspace, np.asarray(joints))
 
 
-def position_std(sensitivity: Sensitivity, measured: Array, joints: Array) -> Array:
+def position_std(
+    sensitivity: Sensitivity, measured: Array, joints: Array, moves: Array | None = None
+) -> Array:
     """Forecast the error of predicted positions of a calibrated robot's targets at single poses.
 
     It is sqrt(tr(J C J^T)), the root of the sum of the variances of x, y, z; its rms over the workspace is
@@ -200,13 +205,14 @@ def position_std(sensitivity: Sensitivity, measured: Array, joints: Array) -> Ar
         sensitivity: The nominal robot in its cell, with k targets.
         measured: Joint values of the poses to measure and to fit, shape (N, m), [rad] or for sliding joints [m].
         joints: Joint values of the poses in question, shape (n, m), [rad] or [m].
+        moves: Last move of each joint before each pose to measure, shape (N, m); None: from the pose before.
 
     Returns:
         Shape (n, k), [m].
     """
-    root = covariance_root(sensitivity.measured(measured), sensitivity.precision)
-    moves = sensitivity.located(joints) @ root
-    return np.asarray(np.linalg.norm(moves.reshape(len(joints), -1, 3 * len(root)), axis=2))
+    root = covariance_root(sensitivity.measured(measured, moves), sensitivity.precision)
+    spread = sensitivity.located(joints) @ root
+    return np.asarray(np.linalg.norm(spread.reshape(len(joints), -1, 3 * len(root)), axis=2))
 
 
 def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:

@@ -15,19 +15,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_callable, check_type
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.errors import CalibError
 from calib.instruments.instrument import Condition, Instrument, Sightline
+from calib.numerics.moves import last_moves
 from calib.robot.robot import Robot
+from calib.verbs.plan.approach import approaches, with_room
 from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
 from calib.verbs.plan.choice import PlanRequest, choose_poses
 from calib.verbs.plan.collision import CollisionCheck, CollisionModel
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.notes import Note
-from calib.verbs.plan.pose_candidates import Pool, draw, draw_towards, drawing_of, planning_ranges
+from calib.verbs.plan.pose_candidates import (
+    Pool,
+    draw,
+    draw_towards,
+    drawing_of,
+    planning_ranges,
+    rounded,
+)
 from calib.verbs.plan.route import Blocked, find_route
 from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
 from calib.verbs.workspace.region import Region
@@ -57,8 +66,11 @@ class Plan(Value):
     instrument: Instrument
     #: The request.
     request: PlanRequest
-    #: Shape (K, m), joint values [rad] or [m], whole steps of 0.001 deg or mm, columns as ``robot.joint_names``.
+    #: Shape (K, m), joint values [rad] or [m], whole steps of 0.001 deg or mm, columns as ``robot.joint_names``; a pose
+    #: that is measured from both sides is there twice.
     joints: Array
+    #: Shape (K, m), last move of each joint before each pose, [rad] or [m]; 0 before the first one of a straight route.
+    moves: Array
     #: ``"estimate"`` or ``"validate"`` for each pose.
     sets: tuple[str, ...]
     #: Shape (T, m), poses that were measured already.
@@ -132,6 +144,23 @@ class Plan(Value):
         return np.stack(by_target, axis=1)
 
     @property
+    def via(self) -> Array | None:
+        """Joint values to drive to before each pose, so that it is approached as requested.
+
+        Shape (K, m), [rad] or for sliding joints [m]; None: straight from the pose before.
+        """
+        if self.request.approach == "straight":
+            return None
+        return rounded(self.robot, self.joints - self.moves)
+
+    @property
+    def fitted(self) -> tuple[Array, Array]:
+        """Joint values of all poses to fit, taken and planned, and the last move of each joint before each of them."""
+        chosen = np.array(self.sets) == "estimate"
+        joints = np.concatenate([self.taken, self.joints[chosen]])
+        return joints, np.concatenate([last_moves(self.taken), self.moves[chosen]])
+
+    @property
     def estimation(self) -> Array:
         """Joint values of the poses to fit, without those to validate with, in the order to drive.
 
@@ -196,31 +225,40 @@ def plan(
     body = None
     if collisions is not None:
         body = collision_model(instrument, sensitivity, collisions)
-    conditions = [*_conditions(sensitivity, region, body)]
     ranges = planning_ranges(arm, known.ranges, request.margin)
+    sides = approaches(arm, ranges, request.approach)
+    ranges = with_room(ranges, sides)
+    conditions = [*_conditions(sensitivity, region, body, sides)]
     draws = (ranges, conditions, request.candidates, request.seed, _stage(progress, "candidates"))
     if instrument.VIEWPOINT_NUMBERS:
         pool = draw_towards(instrument, sensitivity.sightlines[0], *draws)
     else:
         pool = draw(arm, *draws)
     measured = read_only(measured)
-    choice = choose_poses(sensitivity, pool, request, measured, progress=_stage(progress, "choice"))
+    choice = choose_poses(
+        sensitivity, pool, request, measured, sides=sides, progress=_stage(progress, "choice")
+    )
 
     poses = np.concatenate([choice.planned, choice.validation])
     start = None if request.start is None else np.asarray(request.start, dtype=np.float64)
     # If errors depend on a joint's value, a pose one turn further is another pose.
     turns = not sensitivity.kinematics.model.joint_terms
-    limits = planning_ranges(arm, known.ranges, request.margin, turns=turns)
+    limits = with_room(planning_ranges(arm, known.ranges, request.margin, turns=turns), sides)
 
     def stops() -> Array:
         """Return poses of the workspace that are free of collision; the target need not be seen there."""
         first = pool.workspace[:_STOPS]
         return first if body is None else first[body.free(first)]
 
-    route = find_route(arm, poses, limits, start, None if body is None else body.path_free, stops)
+    path_free = None if body is None else body.path_free
+    route = find_route(arm, poses, limits, start, path_free, stops, sides)
     is_fitted = route.order < len(choice.planned)
     fitted = np.concatenate([measured, route.joints[is_fitted]])
-    notes = _scale_notes(sensitivity, pool, fitted, choice.forecast.rms)
+    fitted_moves = np.concatenate([last_moves(measured), route.moves[is_fitted]])
+    expected = choice.forecast
+    if sensitivity.depends_on_moves:  # now that the order is known
+        expected = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
+    notes = _scale_notes(sensitivity, pool, fitted, expected.rms)
     notes += sensitivity.notes
     if known.reflector is not None and known.tracker is None:
         notes.append(Note("reflector_not_checked"))
@@ -231,6 +269,7 @@ def plan(
         instrument=instrument,
         request=request,
         joints=route.joints,
+        moves=route.moves,
         sets=tuple(np.where(is_fitted, "estimate", "validate").tolist()),
         taken=measured,
         targets=sensitivity.setup.targets,
@@ -238,7 +277,7 @@ def plan(
         expected=read_only(sensitivity.expected(route.joints)),
         model=sensitivity.kinematics.model.name,
         kind=instrument.kind.name,
-        forecast=choice.forecast,
+        forecast=expected,
         before=choice.before,
         at_random=choice.at_random,
         ladder=choice.ladder,
@@ -263,7 +302,7 @@ def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] 
 
 
 def _conditions(
-    sensitivity: Sensitivity, region: Region | None, body: CollisionModel | None
+    sensitivity: Sensitivity, region: Region | None, body: CollisionModel | None, sides: Array
 ) -> Iterator[Condition]:
     """Yield the conditions of a candidate, the cheap ones first: region, instrument, lines of sight, collisions.
 
@@ -281,6 +320,17 @@ def _conditions(
         # A line of sight is one rod against all links; links among themselves take ten times as long.
         yield from free_lines_of_sight(sensitivity, body)
         yield Condition("collision", body.free)
+        if len(sides):
+            yield Condition("approach", partial(_approach_free, body, sides))
+
+
+def _approach_free(body: CollisionModel, sides: Array, q: Array) -> Mask:
+    """Return at which poses (n, m) the ways by which they are approached, from all sides (s, m), are free.
+
+    They are tested at steps of a third.
+    """
+    ways = [q - share * side for side in sides for share in (1.0, 2 / 3, 1 / 3)]
+    return np.asarray(np.all([body.free(way) for way in ways], axis=0))
 
 
 def _scale_notes(sensitivity: Sensitivity, pool: Pool, q: Array, rms: float) -> list[Note]:

@@ -23,7 +23,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
 from calib.basics.tables import Table
 from calib.basics.units import Quantity
-from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, name_columns
+from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, VIA, name_columns
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
 from calib.data.layout import Layout
@@ -34,6 +34,7 @@ from calib.instruments.camera import CameraInstrument, board_tilts
 from calib.instruments.instrument import Instrument
 from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
+from calib.verbs.plan.approach import side_name
 from calib.verbs.plan.forecast import Forecast
 from calib.verbs.plan.plan import Plan
 from calib.version import __version__
@@ -80,13 +81,16 @@ def write_plan(
         FileError: It cannot be written.
     """
     rows = list(plan_rows(plan.instrument, plan, first_row))
-    table = [list(rows[0]), *(row.values() for row in rows)]
+    header = list(rows[-1])  # a pose that is only driven through has fewer cells
+    table = [header, *([row.get(name, "") for name in header] for row in rows)]
     return write_atomically(path, csv_bytes(table), overwrite=overwrite)
 
 
 @singledispatch
 def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
     """Yield the cells of each row of a plan by the headers of their columns, in the order to drive.
+
+    A pose that is only driven through has a row of its own.
 
     Args:
         instrument: The instrument, which determines the columns.
@@ -105,9 +109,16 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     # There are no expected orientations.
     expected = [*range(len(lengths)), *range(kind.size - len(readings), kind.size)]
     T_frame_target = np.eye(4)
-    for q, set_name, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
+    for k, (q, set_name, places) in enumerate(
+        zip(plan.joints, plan.sets, plan.expected, strict=True)
+    ):
+        if plan.via is not None:
+            yield {"row": str(number), "set": VIA, **_joint_cells(plan.robot, plan.via[k])}
+            number += 1
         for target, place in zip(plan.targets, places, strict=True):
             row = {"row": str(number), "set": set_name, "point": f"P{number}"}
+            if plan.via is not None:
+                row["approach"] = side_name(plan.moves[k])
             if plan.targets != (DEFAULT_TARGET,):
                 row["target"] = target
             row |= _joint_cells(plan.robot, q)
@@ -129,10 +140,16 @@ def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[st
     distances, tilts = distances_and_tilts(instrument, plan)
     # Columns run from the foot of the robot to its hand, even if the chain leads the other way.
     backwards = plan.robot.base_moves
+
+    def joint_cells(q: Array) -> dict[str, str]:
+        """Return the texts of joint values (m,) by the headers of their columns."""
+        cells = list(_joint_cells(plan.robot, q).items())
+        return dict(cells[::-1] if backwards else cells)
+
     for k, q in enumerate(plan.joints):
-        row = {"set": plan.sets[k], "image": image_name(number + k)}
-        joints = list(_joint_cells(plan.robot, q).items())
-        row |= dict(joints[::-1] if backwards else joints)
+        if plan.via is not None:
+            yield {"set": VIA, **joint_cells(plan.via[k])}
+        row = {"set": plan.sets[k], "image": image_name(number + k), **joint_cells(q)}
         row[f"{EXPECTED}distance [mm]"] = f"{1e3 * distances[k]:.1f}"
         row[f"{EXPECTED}tilt [deg]"] = f"{math.degrees(tilts[k]):.1f}"
         yield row
@@ -186,12 +203,16 @@ class Poses(NamedTuple):
     last_row: int
     #: Largest number in the name of an image; 0 without images.
     last_image: int
+    #: Shape (N, m), last move of each joint before each pose [rad] or [m]; None: from the pose before.
+    moves: Array | None
 
 
 def read_poses(
     path: str | Path, robot: Robot, columns: ColumnsInput = None, *, taken: bool = False
 ) -> Poses:
     """Read the poses of a table in which measurements may be missing; several targets at one pose are one pose.
+
+    Poses that are only driven through are left out; the moves know them.
 
     Args:
         path: Path of the table.
@@ -210,6 +231,9 @@ def read_poses(
     # A row of the kind ``fixed`` has its joint values alone.
     layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
     rows = Measurements(**read_values(table, layout))
+    is_via = np.zeros(len(table.cells), dtype=np.bool_)
+    if "set" in layout.words:
+        is_via = np.array(table.column(layout.words["set"]), dtype=np.str_) == VIA
     chosen = np.ones(len(rows), dtype=np.bool_)
     if taken:
         # A row measures something by a cell, or by a kind that needs none.
@@ -218,7 +242,7 @@ def read_poses(
         indices = [named[name].index for name in columns_of_values if name in named]
         kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
         has_value = np.array([any(cells[i] for i in indices) for cells in table.cells], np.bool_)
-        measured = has_value | np.isin(kinds, _WITHOUT_CELLS)
+        measured = (has_value | np.isin(kinds, _WITHOUT_CELLS))[~is_via]
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
@@ -239,6 +263,7 @@ def read_poses(
         sets=tuple(rows.sets[i] for i in first),
         last_row=max(rows.rows),
         last_image=max((int(digits[-1]) for digits in numbers if digits), default=0),
+        moves=read_only(rows.moves_for(robot.joint_names)[first]) if is_via.any() else None,
     )
 
 
@@ -266,6 +291,9 @@ def plan_table(plan: Plan) -> dict[str, Any]:
     poses = []
     for k, (set_name, q) in enumerate(zip(plan.sets, plan.joints, strict=True)):
         poses.append({"set": set_name, "joints": q, "expected_xyz_m": plan.expected[k]})
+    if plan.via is not None:
+        for pose, via in zip(poses, plan.via, strict=True):
+            pose["via"] = via
     for name, values in _further_keys(plan.instrument, plan).items():
         for pose, value in zip(poses, values, strict=True):
             pose[name] = value
@@ -284,6 +312,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
         },
         "asked": {
             "criterion": request.criterion,
+            "approach": request.approach,
             "model": plan.model,
             "kind": plan.kind,
             "targets": plan.targets,

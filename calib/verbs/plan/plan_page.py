@@ -24,6 +24,7 @@ from calib.show.scene.scene import (
     draw_dots,
     draw_lines,
 )
+from calib.verbs.plan.approach import side_name
 from calib.verbs.plan.forecast import position_std
 from calib.verbs.plan.plan import Plan
 from calib.verbs.plan.plan_file import distances_and_tilts, image_name
@@ -56,9 +57,9 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
     count, forecast = len(plan.joints), plan.forecast
     name = plan.robot.name or "Robot"
     kinds = ["estimation" if word == "estimate" else "validation" for word in plan.sets]
-    fitted = np.concatenate([plan.taken, plan.estimation])
+    fitted, moves = plan.fitted
     sensitivity = Sensitivity.of(plan.robot, plan.cell, plan.instrument)
-    error = position_std(sensitivity, fitted, plan.joints).max(axis=1)
+    error = position_std(sensitivity, fitted, plan.joints, moves).max(axis=1)
     view = View(
         moving.robot,
         None,
@@ -72,6 +73,7 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
         names=((name, "as planned"),),
         numbers={
             **joint_texts(moving.robot, moving.joints),
+            **_approaches(plan),
             **_numbers(plan.instrument, plan, first_row),
             "expected error once calibrated": tuple(f"{1e3 * value:.3f} mm rms" for value in error),
         },
@@ -153,12 +155,28 @@ def _(instrument: CameraInstrument, plan: Plan) -> Plan:
     )
 
 
+def _approaches(plan: Plan) -> dict[str, tuple[str, ...]]:
+    """Return where each joint comes from, in words for each pose; nothing for poses that are approached straight."""
+    if plan.via is None:
+        return {}
+    texts = []
+    for move in plan.moves:
+        steps = []
+        for joint, value in zip(plan.robot.inputs, np.abs(move), strict=True):
+            slides = joint.type == "prismatic"
+            steps.append(f"{1e3 * value:.3g} mm" if slides else f"{np.degrees(value):.3g} deg")
+        texts.append(f"{side_name(move)} by {' / '.join(dict.fromkeys(steps))}")
+    return {"approach": tuple(texts)}
+
+
 @singledispatch
 def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
     """Return texts for each pose, by their labels: the names of its points, and where its targets are expected [mm]."""
     numbers: dict[str, tuple[str, ...]] = {}
     count = len(plan.targets)
-    points = first_row + np.arange(len(plan.joints) * count).reshape(-1, count)
+    # The pose to come from has the row before.
+    rows = count if plan.via is None else count + 1
+    points = first_row + np.arange(len(plan.joints) * rows).reshape(-1, rows)[:, -count:]
     for k, target in enumerate(plan.targets):
         suffix = f" of {target}" if count > 1 else ""
         numbers[f"point{suffix}"] = tuple(f"P{number}" for number in points[:, k])

@@ -16,7 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
+from calib.numerics.moves import last_moves
 from calib.robot.robot import Robot
+from calib.verbs.plan.approach import visits
 from calib.verbs.plan.pose_candidates import rounded
 
 #: Returns whether the straight move in joint space between two poses (m,) is free, the same there and back.
@@ -56,7 +58,9 @@ class Route(NamedTuple):
 
     #: Shape (N, m), joint values, some turned by whole turns, [rad] or [m].
     joints: Array
-    #: Shape (N,), which of the given poses each is, from 0.
+    #: Shape (N, m), last move of each joint before each pose [rad] or [m].
+    moves: Array
+    #: Shape (N,), which of the given poses each is, from 0; several times if it is approached from several sides.
     order: Integers
     #: Sum over all moves of the largest move of a joint [rad or m], straight ways assumed.
     travel: float
@@ -71,6 +75,7 @@ def find_route(
     start: Array | None = None,
     free_path: FreePath | None = None,
     stops: Callable[[], Array] | None = None,
+    sides: Array | None = None,
 ) -> Route:
     """Order poses; if moves are blocked, turn some joints by whole turns, or name poses to drive by.
 
@@ -83,24 +88,56 @@ def find_route(
         free_path: Tests a move; None: all moves are free.
         stops: Returns joint values of free poses to drive by, shape (n, m); called only if moves remain blocked. None:
             there are none.
+        sides: Moves by which the joints arrive at each pose, shape (s, m): the route comes to each pose from all of
+            them, one after the other. None, or s = 0: straight from the pose before.
 
     Returns:
-        The route, the same for the same poses, with as few blocked moves as are found.
+        The route, the same for the same poses, with as few blocked moves as are found. Moves by which poses are
+        approached are not tested.
     """
+    sides = joints[:0] if sides is None else sides
     route = order_poses(joints, start, free_path)
-    if free_path is None or not route.blocked:
+    if free_path is not None and route.blocked:
+        turned = rounded(robot, _turn(robot, joints, limits, route, free_path))
+        with_turns = order_poses(turned, start, free_path)
+        if len(with_turns.blocked) < len(route.blocked):
+            route = with_turns
+    if len(sides):
+        route = _approached(route, sides, start, free_path)
+    if not route.blocked or stops is None or free_path is None:
         return route
-    turned = rounded(robot, _turn(robot, joints, limits, route, free_path))
-    with_turns = order_poses(turned, start, free_path)
-    if len(with_turns.blocked) < len(route.blocked):
-        route = with_turns
-    by_poses = stops() if route.blocked and stops is not None else joints[:0]
+    by_poses = stops()
+    entries = route.joints - route.moves if len(sides) else route.joints
     blocked = []
     for first, end, _ in route.blocked:
         before = start if first == 0 and start is not None else route.joints[first - 1]
-        by = _detour(before, route.joints[end - 1], by_poses, free_path)
+        by = _detour(before, entries[end - 1], by_poses, free_path)
         blocked.append(Blocked(first, end, by))
     return route._replace(blocked=tuple(blocked))
+
+
+def _approached(
+    route: Route, sides: Array, start: Array | None, free_path: FreePath | None
+) -> Route:
+    """Return a route whose poses are visited once from each side, by moves (s, m) that end there.
+
+    The moves from the pose before, or the start (m,), to where the last move begins are tested.
+    """
+    joints, moves = visits(route.joints, sides)
+    path = np.stack([joints - moves, joints], axis=1).reshape(-1, joints.shape[1])
+    if start is not None:
+        path = np.vstack([start, path])
+    blocked = []
+    if free_path is not None:
+        befores = [start, *joints[len(sides) - 1 :: len(sides)]]
+        entries = (joints - moves)[:: len(sides)]
+        for k, (before, entry) in enumerate(zip(befores, entries, strict=False)):
+            if before is not None and not free_path(before, entry):
+                number = k * len(sides)
+                blocked.append(Blocked(number, number + 1, None))
+    travel = float(np.abs(np.diff(path, axis=0)).max(axis=1).sum())
+    order = np.repeat(route.order, len(sides))
+    return Route(read_only(joints), read_only(moves), order, travel, tuple(blocked))
 
 
 def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None = None) -> Route:
@@ -130,10 +167,12 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
                     penalised[[a, b], [b, a]] += penalty
                     is_settled = False
         path = _improve(path, penalised)
-    moves = enumerate(pairwise(path[:-1].tolist()))
-    blocked = [Blocked(k, k + 1, None) for k, move in moves if not is_free.get(move, True)]
+    driven = enumerate(pairwise(path[:-1].tolist()))
+    blocked = [Blocked(k, k + 1, None) for k, move in driven if not is_free.get(move, True)]
     order = path[1:-1]
-    return Route(read_only(q[order]), order, _length(path, costs), tuple(blocked))
+    joints = read_only(q[order])
+    moves = last_moves(joints if start is None else np.vstack([start, joints]))[-count or None :]
+    return Route(joints, read_only(moves), order, _length(path, costs), tuple(blocked))
 
 
 def _shortest_path(costs: Array) -> Integers:

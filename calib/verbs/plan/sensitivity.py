@@ -130,6 +130,12 @@ class Sensitivity:
         return self.kinematics.model.units
 
     @property
+    def depends_on_moves(self) -> bool:
+        """Whether an error of the model depends on the last moves of the joints."""
+        factors = [parameter.factor for parameter in self.kinematics.model.parameters]
+        return any(factor is not None and factor.moved for factor in factors)
+
+    @property
     def sightlines(self) -> tuple[Sightline, ...]:
         """The instrument and each target, with the chain between them; () if the instrument's place is not known."""
         T_instrument_base = self.instrument.T_instrument_base
@@ -150,11 +156,11 @@ class Sensitivity:
         T = self.kinematics.poses(np.zeros(len(self.names)), self._samples(q))
         return transform(T, self.instrument.points[:1]).reshape(len(q), -1, 3)
 
-    def _samples(self, q: Array) -> Samples:
+    def _samples(self, q: Array, moves: Array | None = None) -> Samples:
         """Return N k samples at N poses (N, m): all k targets at the first pose, then at the second, ...
 
-        They have loads if an error of the model depends on these. The robot goes from each pose to the next: the order
-        to drive is not known yet, but in any order the joints come from both sides.
+        They have loads if an error of the model depends on these. Without the joints' last moves (N, m) the robot goes
+        from each pose to the next.
         """
         targets = len(self.setup.targets)
         load = None
@@ -165,20 +171,22 @@ class Sensitivity:
             load = np.repeat(of_poses, targets, axis=0)
         frame = np.zeros(targets * len(q), dtype=np.int_)
         target = np.tile(np.arange(targets), len(q))
-        moves = np.repeat(last_moves(q), targets, axis=0)
+        moves = np.repeat(last_moves(q) if moves is None else moves, targets, axis=0)
         return Samples(np.repeat(q, targets, axis=0), frame, target, load, moves=moves)
 
-    def measured(self, q: Array) -> Array:
+    def measured(self, q: Array, moves: Array | None = None) -> Array:
         """Differentiate what is measured by the parameters, whitened by the noise.
 
         Args:
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
+            moves: Last move of each joint before each pose, shape (n, m); None: from the pose before.
 
         Returns:
             Derivative of the d scalars that stand for all measurements at a pose, shape (n, d, p), in standard
             deviations of the noise per unit of the parameter; see `calib.instruments.instrument.Instrument.whitened`.
         """
-        T, twists = self.kinematics.twists(np.zeros(len(self.names)), self._samples(q))
+        samples = self._samples(q, moves)
+        T, twists = self.kinematics.twists(np.zeros(len(self.names)), samples)
         T = T.reshape(len(q), -1, 4, 4)
         twists = twists.reshape(*T.shape[:2], *twists.shape[1:])
         return self.instrument.whitened(T, twists, self.noise(q), self.kinematics.model)

@@ -42,6 +42,15 @@ _REASONS = {
     "tilt": "too slanted",
     "image": "not in the image",
     "collision": "in collision",
+    "approach": "with a blocked approach",
+}
+
+#: How poses are approached, by the request.
+_APPROACHES = {
+    "straight": "straight from the pose before",
+    "one": "from one side: drive to the row 'via' before each pose, so that every joint arrives rising",
+    "both": "from both sides: each pose is measured twice, after a row 'via' from which every joint rises, and after "
+    "one from which it falls",
 }
 
 #: The sentence of each note; {0}, {1} are its values.
@@ -75,11 +84,13 @@ def plan_text(plan: Plan) -> str:
     """Write a plan in paragraphs: its head, the forecasts, and notes, the last ones on moves that are blocked."""
     notes = [note_text(note) for note in plan.notes]
     # Moves by their rows, each with a pose to move through if one was found.
-    targets = len(plan.targets)  # each pose has a row for each of them
+    # Each pose has a row for each target, after that of the pose to come from.
+    before = 0 if plan.via is None else 1
+    rows = before + len(plan.targets)
     moves = []
     for blocked in plan.blocked:
-        start = f"row {targets * (blocked.start - 1) + 1}" if blocked.start else "the start"
-        move = f"{start} to row {targets * (blocked.end - 1) + 1}"
+        start = f"row {rows * (blocked.start - 1) + before + 1}" if blocked.start else "the start"
+        move = f"{start} to row {rows * (blocked.end - 1) + 1}"
         if blocked.by is not None:
             values = []
             for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
@@ -135,6 +146,7 @@ def _head(plan: Plan) -> Iterator[str]:
     for label, text in (
         *_facts(plan.instrument, plan),
         ("criterion", _CRITERIA[plan.request.criterion]),
+        ("approach", _APPROACHES[plan.request.approach]),
         (
             "error model",
             f"{plan.model}{auto}: {forecast.columns} parameters, rank {forecast.rank} (whole workspace "
@@ -153,22 +165,22 @@ def _head(plan: Plan) -> Iterator[str]:
 @singledispatch
 def _what_is_planned(_instrument: Instrument, plan: Plan) -> str:
     """Word the robot, its chain, the numbers of poses and the targets."""
-    robot, count = plan.robot, len(plan.estimation)
+    robot, count = plan.robot, plan.request.count
     taken = f" in addition to {len(plan.taken)} measured ones" if len(plan.taken) else ""
     return (
         f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
-        f"calibration{taken}, {len(plan.joints) - count} for validation; targets at each: {', '.join(plan.targets)}."
+        f"calibration{taken}, {plan.request.validation} for validation; targets at each: {', '.join(plan.targets)}."
     )
 
 
 @_what_is_planned.register
 def _(_instrument: CameraInstrument, plan: Plan) -> str:
     """Word the robot, the links of camera and board, and the numbers of images."""
-    robot, count = plan.robot, len(plan.estimation)
+    robot, count = plan.robot, plan.request.count
     taken = f" in addition to {len(plan.taken)} taken already" if len(plan.taken) else ""
     return (
         f"Plan for '{robot.name}' ({robot.urdf.source}), camera on {robot.base}, board on {robot.tip}: {count} images "
-        f"for calibration{taken}, {len(plan.joints) - count} for validation."
+        f"for calibration{taken}, {plan.request.validation} for validation."
     )
 
 
@@ -191,7 +203,7 @@ def _(instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
 
 def _forecasts(plan: Plan) -> Iterator[str]:
     """Yield lines on the expected errors: of the plan, of random poses, of those taken, of other numbers of poses."""
-    forecast, count, taken = plan.forecast, len(plan.estimation), len(plan.taken)
+    forecast, count, taken = plan.forecast, plan.request.count, len(plan.taken)
     planned, random, beside = f"these {count} poses", f"{count} random ones", ""
     if taken:
         planned = f"those taken and these, {taken + count}"
@@ -238,9 +250,9 @@ def noise_text(sigma: Mapping[str, float]) -> str:
 
 def plan_html(p: Plan) -> str:
     """Write a plan for a notebook, as HTML: numbers of poses, expected errors of these and of random ones."""
-    count = len(p.estimation)
+    count = p.request.count
     rows = [
-        ("poses", f"{count}, and {len(p.joints) - count} for validation"),
+        ("poses", f"{count}, and {p.request.validation} for validation"),
         ("expected rms error", f"{mm(p.forecast.rms)} mm"),
         ("of random poses", f"{mm(p.at_random.rms)} mm"),
         ("model", p.model),
@@ -254,6 +266,6 @@ def plan_html(p: Plan) -> str:
 
 def plan_line(p: Plan) -> str:
     """Write a plan in one line: robot, poses, expected error."""
-    count = len(p.estimation)
-    poses = f"{plural(count, 'pose')} and {len(p.joints) - count} for validation"
+    count = p.request.count
+    poses = f"{plural(count, 'pose')} and {p.request.validation} for validation"
     return one_line("Plan", chain_name(p.robot), poses, f"expected rms {mm(p.forecast.rms)} mm")

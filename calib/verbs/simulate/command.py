@@ -117,14 +117,15 @@ def simulate(
             "--images draws what a camera sees of a printed board: add --kind pixel, with --camera-on and --board-on."
         )
     joints: Array | None = None
+    moves: Array | None = None
     sets: tuple[str, ...] = ()
     validation = 10
     if poses.poses is not None:
         table = read_poses(poses.poses, arm, poses.parsed())
-        joints, sets, validation = table.joints, table.sets, 0
+        joints, sets, moves, validation = table.joints, table.sets, table.moves, 0
     if poses.validation is not None:
         validation = poses.validation
-    simulated = simulate_rows(scenario, poses.count, validation, poses.seed, joints, sets)
+    simulated = simulate_rows(scenario, poses.count, validation, poses.seed, joints, sets, moves)
 
     written = []
     if images is not None:

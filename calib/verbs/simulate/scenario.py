@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import calib.data.kinds as registry
-from calib.basics.arguments import check_mapping, check_names, check_number, check_type, check_whole
+from calib.basics.arguments import (
+    check_mapping,
+    check_names,
+    check_number,
+    check_type,
+    check_whole,
+    numbers,
+)
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import residual_unit
 from calib.basics.values import Value, keep_read_only, one_line
@@ -31,6 +38,7 @@ from calib.instruments.instrument import Sightline
 from calib.instruments.tracker import USUAL_NOISE, noise_of_lengths
 from calib.model.families import family_of
 from calib.numerics.geometry import vector
+from calib.numerics.moves import last_moves
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
@@ -330,7 +338,13 @@ class VirtualCell(Value):
         scene = CameraScene(sightline, self.equipment.camera, self.equipment.printed)
         return draw_views(scene, count, stream(seed, "validation views" if validation else "views"))
 
-    def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
+    def measure(
+        self,
+        q: ArrayLike,
+        seed: int = 0,
+        sets: Sequence[str] | None = None,
+        moves: Array | None = None,
+    ) -> Simulated:
         """Measure every target at every pose, or with a camera every corner of the board that is seen.
 
         The stations take the poses in turn; with several visits the whole tour is repeated.
@@ -339,6 +353,7 @@ class VirtualCell(Value):
             q: Commanded poses, shape (N, m), [rad] or [m].
             seed: Of the random numbers.
             sets: ``"estimate"`` or ``"validate"`` for each pose; None: all to estimate from.
+            moves: Last move of each joint before each pose, shape (N, m), [rad] or [m]; None: from the pose before.
 
         Returns:
             The measurements, and the truth of each row.
@@ -360,7 +375,8 @@ class VirtualCell(Value):
         if scenario.moved is not None:
             moved = scenario.moved.rows([truth.targets[t] for t in tour.target])
             T_tip_target[moved, :3, 3] += scenario.moved.by
-        T_base_tip = truth.tip_poses(true_q)[tour.stop]
+        moves = None if moves is None else moves[tour.route]
+        T_base_tip = truth.tip_poses(true_q, moves)[tour.stop]
         T = truth.T_frame_base[tour.group] @ T_base_tip @ T_tip_target
 
         # The robot's repeatability displaces all targets of one stop alike.
@@ -378,6 +394,7 @@ class VirtualCell(Value):
             joints=read_q[stop],
             sets=tuple(tour.sets[i] for i in rows.view),
             prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
+            moves=None if moves is None else moves[stop],
             **rows.columns,
         )
         return Simulated(
@@ -400,6 +417,7 @@ def simulate(
     seed: int = 0,
     poses: ArrayLike | None = None,
     sets: tuple[str, ...] = (),
+    moves: ArrayLike | None = None,
 ) -> Simulated:
     """Simulate measurements of a robot whose errors are drawn by the seed.
 
@@ -412,6 +430,8 @@ def simulate(
         seed: The same seed gives the same measurements.
         poses: shape (n, m), poses in place of the random ones [rad] or [m]; None: ``count`` random ones.
         sets: ``"estimate"`` or ``"validate"`` for each of ``poses``; (): all to estimate from.
+        moves: Last move of each joint before each of ``poses``, shape (n, m), [rad] or [m]; None: the robot goes from
+            each pose to the next.
 
     Returns:
         The measurements, and the truth.
@@ -437,4 +457,11 @@ def simulate(
     further = virtual.poses(validation, seed, validation=True)
     estimate, validate = SETS
     all_sets = (sets or (estimate,) * len(q)) + (validate,) * len(further)
-    return virtual.measure(np.concatenate([q, further]), seed, all_sets)
+    driven = np.concatenate([q, further])
+    by_moves: Array | None = None
+    if moves is not None:
+        stated = numbers("moves", moves, "last moves of shape (n, m), [rad] or [m]")
+        if given is None or stated.shape != given.shape:
+            raise ModelError("The argument 'moves' must have one row for each of 'poses'.")
+        by_moves = np.concatenate([stated, last_moves(driven)[len(q) :]])
+    return virtual.measure(driven, seed, all_sets, by_moves)

@@ -112,11 +112,12 @@ class Truth(Value):
         """Return the value of one error, in its unit; raises `ModelError` if the model does not have it."""
         return float(self.x[self.model.index(name)])
 
-    def tip_poses(self, q: ArrayLike) -> Array:
+    def tip_poses(self, q: ArrayLike, moves: Array | None = None) -> Array:
         """Compute the true T_base_tip, with all errors of the robot, shape (N, 4, 4), [m].
 
         Args:
-            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m]; the robot goes from each
+            q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m].
+            moves: Last move of each joint before each row, shape (N, m), [rad] or [m]; None: the robot goes from each
                 row to the next.
         """
         robot, x, load = self.nominal, self.x, None
@@ -126,7 +127,7 @@ class Truth(Value):
         if any(term.factor and term.factor.loaded for term in self.model.terms):
             load = gravity_loads(self.nominal, q, self.payload, self.gravity)
         kinematics = Kinematics(robot, self.model, np.eye(4), np.eye(4))
-        return kinematics.poses(x, Samples.at(q, load, last_moves(q)))
+        return kinematics.poses(x, Samples.at(q, load, last_moves(q) if moves is None else moves))
 
     def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
         """Compute the true T_frame_target, shape (N, 4, 4), [m].
