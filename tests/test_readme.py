@@ -181,3 +181,15 @@ def test_the_python_of_a_page_runs_on_files_of_its_names(page, tmp_path, monkeyp
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     for code in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         exec(compile(code, page, "exec"), names)
+
+
+@pytest.mark.slow
+def test_what_approaches_are_worth_is_what_the_planning_study_prints():
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        from planning_study import approach_rows
+    finally:
+        sys.path.pop(0)
+    page = (ROOT / "docs" / "planning.md").read_text(encoding="utf-8")
+    for row in approach_rows(20_000):
+        assert f"| {' | '.join(row)} |" in page

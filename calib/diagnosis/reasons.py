@@ -174,6 +174,7 @@ class Why(str, Enum):
     LARGER_NO_CLOSER = "larger_no_closer", Role.INFORMATION
     STOPS_SHORT = "stops_short", Role.INFORMATION
     CREEPS = "creeps", Role.INFORMATION
+    ONE_SIDED = "one_sided", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION

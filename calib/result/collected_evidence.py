@@ -252,6 +252,9 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield from _lags(larger)
 
     m = result.fit.measurements
+    signs = np.sign(m.moves_for(result.nominal.joint_names)[m.estimation])
+    if len(signs) and np.all(signs == signs[0]) and signs[0].any():
+        yield Reason.of(Why.ONE_SIDED)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
     if m.turned:

@@ -222,6 +222,8 @@ SENTENCES = {
     "calib compensate take the order of the rows into account; else approach poses from one side.",
     Why.CREEPS: "'{joint}' {lacks} of its last move when it was measured{other_joints}. A URDF cannot represent this: "
     "predict() and calib compensate take the order of the rows into account; else wait longer at each pose.",
+    Why.ONE_SIDED: "All joints arrived at every pose from one side. Lost motion, if there is some, is in their zeros: "
+    "the robot is as accurate as stated where programs approach poses from this side too.",
     Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
     "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
     'scale is known better, say so in the cell file: instrument = "tracker", sigma_scale_percent, or, once a known '

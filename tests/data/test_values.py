@@ -31,6 +31,23 @@ def test_poses_that_are_still_to_come_are_left_out(table):
     assert whole.unmeasured == ()
 
 
+def test_poses_that_are_only_driven_through_are_known_by_the_moves(table, listed):
+    """Whatever their cells hold; a list of points has none of them, by its names or in its order."""
+    header, row = "set,point,a [deg],x [mm],y [mm],z [mm]", "estimate,P1,3,100,200,300"
+    m = Measurements.read(table(header, "via,,1,,,", row, "via,,8,1,2,3", "validate,P2,6,1,2,3"))
+    assert (m.rows, m.unmeasured, m.sets) == ((2, 4), (), ("estimate", "validate"))
+    np.testing.assert_allclose(np.degrees(m.moves[:, 0]), [2.0, -2.0])
+    named = table("set,point,a [deg]", "via,,1", "estimate,P1,3", "via,,8", "validate,P2,6")
+    bare = table("set,a [deg]", "via,1", "estimate,3", "via,8", "validate,6", name="bare.csv")
+    for path, prefix in ((named, "P"), (bare, "")):
+        lines = ("1 100 200 300", "2 1 2 3") if prefix else (" 100 200 300", " 1 2 3")
+        points = listed("# Units: mm", *(prefix + line for line in lines))
+        m = Measurements.read(path, ["a"], points=points)
+        assert (m.rows, m.unmeasured) == ((2, 4), ())
+        np.testing.assert_allclose(m.points[:, 0], [0.1, 0.001])
+        np.testing.assert_allclose(np.degrees(m.moves[:, 0]), [2.0, -2.0])
+
+
 COMMANDS = "a [deg],x [mm],y [mm],z [mm],correction a [deg],correction position [mm],status"
 
 

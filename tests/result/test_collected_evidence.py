@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.basics.channels import Channels
+from calib.diagnosis.reasons import Why
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import (
     _collect_evidence,
     _expected_over_limits,
+    _notes,
     compare_validation_errors,
 )
 from calib.robot.ranges import spread_poses
@@ -85,3 +89,21 @@ def test_over_the_joint_limits_the_variance_of_predictions_counts_for_both_robot
     std = c.geometry.pose_std(c.samples(spread_poses(c.nominal)))[:, 0]
     assert of_model == pytest.approx(np.sqrt(np.mean(std**2)))
     assert of_nominal == pytest.approx(np.hypot(away, of_model))
+
+
+def test_it_is_said_if_all_joints_arrived_from_one_side(calibrated):
+    """In every fitted row, by the moves that the table states."""
+    _, c = calibrated("points")
+    table = c.fit.measurements
+
+    def says_so(moves) -> bool:
+        result = with_part(c, "fit", measurements=replace(table, moves=moves))
+        return Why.ONE_SIDED in [reason.why for reason in _notes(result)]
+
+    rising = np.full(table.joints.shape, 0.1)
+    assert says_so(rising)
+    assert says_so(-rising)
+    assert not says_so(0.0 * rising)
+    rising[7, 2] = -0.1
+    assert not says_so(rising)
+    assert not says_so(None)

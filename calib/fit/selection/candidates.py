@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.basics.arrays import Array
 from calib.basics.values import keep_read_only
 from calib.errors import ModelError, choices
 from calib.fit.estimate.fitting import Fitted
@@ -28,6 +29,9 @@ LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 
 #: A family moves no joint if one unit of its errors moves each by less than this [rad, m].
 _NO_MOTION = 1e-6
+
+#: Cosine of the effects of two families above which nothing but their priors tells them apart.
+_ALIKE = 0.99
 
 #: Penalty of an estimated prior standard deviation, in log-likelihood, which is maximised over it. By Laplace's
 #: approximation it costs the logarithm of its prior range, a few powers of ten, over the factor within which the data
@@ -76,9 +80,11 @@ def geometry_parameters(task: Task) -> dict[str, int]:
 
 
 def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
-    """List the families of non-geometric errors that would move at least one joint in at least one row.
+    """List the families of non-geometric errors that the rows can tell from the geometry and from earlier families.
 
-    Compliances do not, for example, if the URDF states no masses.
+    A family that moves no joint differently from row to row is left out, such as compliances if the URDF states no
+    masses, or lost motion if every pose was approached from one side; and one that moves each joint as a family before
+    it does, such as creep if all last moves were of one length.
 
     Args:
         task: The fit, with any model.
@@ -88,13 +94,24 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
         Names of the families, in the order of the registry.
     """
     robot, samples = task.robot, rows.samples
-    families = []
+    patterns: dict[str, Array] = {}
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
         moves = joint_displacements(robot, terms, samples.q, samples.load, samples.moves)
-        if np.max(np.abs(moves), initial=0.0) > _NO_MOTION:
-            families.append(family)
-    return tuple(families)
+        if not np.any(np.ptp(moves, axis=0) > _NO_MOTION):
+            continue
+        pattern = moves.reshape(-1, len(terms))
+        if not any(_are_alike(pattern, earlier) for earlier in patterns.values()):
+            patterns[family] = pattern
+    return tuple(patterns)
+
+
+def _are_alike(A: Array, B: Array) -> bool:
+    """Return whether each column of a matrix is that of another matrix times a positive number, but for `_ALIKE`."""
+    if A.shape != B.shape:
+        return False
+    products = np.sum(A * B, axis=0)
+    return bool(np.all(products >= _ALIKE * np.linalg.norm(A, axis=0) * np.linalg.norm(B, axis=0)))
 
 
 def check_parameter_names(task: Task) -> None:

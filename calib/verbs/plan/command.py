@@ -62,8 +62,8 @@ class PoseOptions:
         str,
         typer.Option(
             metavar="straight|one|both",
-            help="How to come to a pose. straight: from the pose before; one: with every joint rising; both: measure each "
-            "pose twice, with every joint rising and falling, which shows lost motion.",
+            help="How to come to a pose. straight: from the pose before; one: with every joint rising; both: each "
+            "pose is measured twice, with every joint rising and falling, which shows lost motion.",
         ),
     ] = "straight"
     seed: Seed = 0

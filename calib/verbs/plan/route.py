@@ -171,7 +171,8 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
     blocked = [Blocked(k, k + 1, None) for k, move in driven if not is_free.get(move, True)]
     order = path[1:-1]
     joints = read_only(q[order])
-    moves = last_moves(joints if start is None else np.vstack([start, joints]))[-count or None :]
+    moves = last_moves(poses[path[1:-1]] if start is None else poses[path[:-1]])
+    moves = moves[len(moves) - count :]
     return Route(joints, read_only(moves), order, _length(path, costs), tuple(blocked))
 
 

@@ -66,6 +66,23 @@ def test_families_that_move_no_joint_are_not_listed(task_and_rows):
     assert "gain" in determinable_families(task, unloaded)
 
 
+def test_lost_motion_needs_both_sides_and_creep_moves_of_several_lengths(task_and_rows):
+    task, rows = task_and_rows
+    random = np.random.default_rng(5)
+
+    def listed(moves) -> set[str]:
+        moved = replace(rows, samples=replace(rows.samples, moves=moves))
+        return {"lost_motion", "creep"}.intersection(determinable_families(task, moved))
+
+    one_length = np.full_like(rows.samples.q, 0.1)
+    assert listed(one_length) == set()
+    from_both_sides = np.where(random.random(one_length.shape) < 0.5, 0.1, -0.1)
+    assert listed(from_both_sides) == {"lost_motion"}
+    lengths = random.uniform(0.5, 1.5, one_length.shape)
+    assert listed(from_both_sides * lengths) == {"lost_motion", "creep"}
+    assert listed(one_length * lengths) == {"creep"}
+
+
 def test_names_that_no_model_has_are_refused(task_and_rows):
     task, _ = task_and_rows
     cell = Cell(frozen=("a99",), ties={"a2": ("nothing", 1.0)}, parameter_priors={"x": 1.0})

@@ -41,7 +41,7 @@ class Linear:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    measured: Callable[[np.ndarray], np.ndarray]
+    measured: Callable[..., np.ndarray]
     located: Callable[[np.ndarray], np.ndarray]
     noise: Callable[[np.ndarray], np.ndarray]
     precision: np.ndarray
@@ -60,7 +60,7 @@ def sensitivity(precision: np.ndarray | None = None) -> Linear:
     return Linear(
         names=NAMES,
         units=UNITS,
-        measured=lambda q: jacobian(q) / noise(q)[:, None, None],
+        measured=lambda q, _moves=None: jacobian(q) / noise(q)[:, None, None],
         located=jacobian,
         noise=noise,
         precision=1.0 / TAU**2 if precision is None else precision,

@@ -9,12 +9,18 @@ import pytest
 
 import calib
 from calib.data.cell import Box, Cell, Priors, Reflector, Tracker
-from calib.errors import CalibError
+from calib.errors import CalibError, ModelError
 from calib.example import PAPER_TARGET
+from calib.model.families import FAMILIES
+from calib.numerics.moves import last_moves
+from calib.robot.ranges import column_limits
+from calib.verbs.plan.bodies import collision_model
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.collision import CollisionCheck
+from calib.verbs.plan.forecast import covariance_root
 from calib.verbs.plan.notes import Note
 from calib.verbs.plan.plan import Plan, plan
+from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.workspace.region import Region
 from tests.verbs.plan.fcl_scene import bodies, objects, touch
 
@@ -173,3 +179,69 @@ def test_notes_are_codes(ur3, full, bare):
 def test_what_cannot_be_planned_is_refused(ur3, cell, request_, given, words):
     with pytest.raises(CalibError, match=words):
         plan(ur3, cell, request_, collisions=None, **given)
+
+
+@pytest.fixture(scope="module")
+def from_both_sides(ur3) -> Plan:
+    cell = replace(FULL, model="hayati+lost_motion", priors=Priors("given"))
+    request = PlanRequest(15, 4, candidates=300, seed=1, approach="both")
+    return plan(ur3, cell, request, region=REGION)
+
+
+def test_every_pose_is_measured_from_both_sides(ur3, from_both_sides):
+    p = from_both_sides
+    assert len(p.joints) == 2 * 19
+    assert p.sets.count("validate") == 8
+    np.testing.assert_array_equal(p.joints[::2], p.joints[1::2])
+    np.testing.assert_allclose(p.moves[::2], 5 * DEG)
+    np.testing.assert_allclose(p.moves[1::2], -5 * DEG)
+    np.testing.assert_allclose(p.via, p.joints - p.moves, atol=1e-12)
+    low, high = column_limits(ur3).T
+    assert ((p.via >= low) & (p.via <= high)).all()
+    assert (np.abs(p.via[:, 0]) <= 120 * DEG + 1e-9).all()
+
+
+def test_the_ways_by_which_poses_are_approached_are_free(ur3, from_both_sides):
+    p = from_both_sides
+    model = collision_model(p.instrument, Sensitivity.of(ur3, p.cell), CollisionCheck())
+    assert all(model.path_free(via, q) for via, q in zip(p.via, p.joints, strict=True))
+
+
+def test_both_sides_determine_lost_motion_and_one_side_does_not(ur3, from_both_sides):
+    """Approached from one side, lost motion is a part of the joints' zeros."""
+    cell = replace(BARE, model="hayati+lost_motion", priors=Priors("given"))
+    request = PlanRequest(15, 0, candidates=300, ladder=False, approach="one")
+    one = plan(ur3, cell, request, collisions=None)
+    names = one.forecast.names
+    of_order = np.array([name.endswith(".lost_motion") for name in names])
+    prior = FAMILIES["lost_motion"].prior
+    both = from_both_sides.forecast
+    assert both.names == names
+    assert (both.parameter_std[of_order] < 0.6 * prior).all()
+    assert both.identifiable[of_order].all()
+    assert (one.forecast.parameter_std[of_order] > 0.9 * prior).all()
+    assert not one.forecast.identifiable[of_order].any()
+    assert one.forecast.rms > 2.0 * both.rms
+
+
+def test_a_forecast_knows_the_order_to_drive(ur3):
+    """As an analysis of the plan's own table, pose after pose, has it."""
+    cell = replace(BARE, model="hayati+lost_motion", priors=Priors("given"))
+    request = PlanRequest(15, 3, candidates=300, ladder=False)
+    straight = plan(ur3, cell, request, collisions=None)
+    sensitivity = Sensitivity.of(ur3, cell)
+    chosen = np.array(straight.sets) == "estimate"
+    measured = sensitivity.measured(straight.joints[chosen], last_moves(straight.joints)[chosen])
+    root = covariance_root(measured, sensitivity.precision)
+    np.testing.assert_allclose(
+        straight.forecast.parameter_std, np.linalg.norm(root, axis=1), rtol=1e-9
+    )
+    as_if_in_the_tables_order = covariance_root(
+        sensitivity.measured(straight.joints[chosen]), sensitivity.precision
+    )
+    assert not np.allclose(root, as_if_in_the_tables_order, rtol=1e-3)
+
+
+def test_an_unknown_approach_is_refused(ur3):
+    with pytest.raises(ModelError, match=r"approach 'above'.*straight, one"):
+        plan(ur3, BARE, PlanRequest(15, 4, candidates=300, approach="above"), collisions=None)

@@ -98,6 +98,51 @@ def test_several_targets_have_a_row_each(ur3, tmp_path):
     assert taken.last_row == 128
 
 
+@pytest.fixture(scope="module")
+def from_both_sides(ur3):
+    request = PlanRequest(15, 3, candidates=400, ladder=False, approach="both")
+    return plan(ur3, CELL, request, collisions=None)
+
+
+def test_a_pose_to_come_from_has_a_row_of_its_own(from_both_sides, ur3, tmp_path):
+    made = from_both_sides
+    path = write_plan(made, tmp_path / "plan.csv")
+    header, rows = cells(path)
+    assert header[:4] == ["row", "set", "point", "approach"]
+    assert [row[0] for row in rows] == [str(k) for k in range(1, 2 * 36 + 1)]
+    assert [row[1] for row in rows[::2]] == ["via"] * 36
+    assert {cell for row in rows[::2] for cell in (*row[2:4], *row[10:])} == {""}
+    assert [row[2] for row in rows[1::2]] == [f"P{k}" for k in range(2, 74, 2)]
+    assert [row[3] for row in rows[1::2]] == ["rising", "falling"] * 18
+    before = np.array([row[4:10] for row in rows[::2]], dtype=float)
+    np.testing.assert_allclose(before, np.degrees(made.via), atol=1e-9)
+
+    # What is measured at the other rows is read with the moves by which the joints arrived.
+    xyz = [header.index(f"{axis} [mm]") for axis in "xyz"]
+    for row, place in zip(rows[1::2], made.expected[:, 0], strict=True):
+        for i, value in zip(xyz, 1e3 * place, strict=True):
+            row[i] = repr(float(value))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    table = Measurements.read(path, ur3.joint_names, ur3.joint_types)
+    assert (table.sets, table.unmeasured) == (made.sets, ())
+    assert table.approaches == ("rising", "falling") * 18
+    # Where joints stay between two rows, they keep their move; here all move.
+    np.testing.assert_allclose(table.moves, made.moves, atol=1e-12)
+    assert plan_table(made)["poses"][4]["via"].tolist() == made.via[4].tolist()
+
+
+def test_poses_that_are_driven_through_are_not_taken(from_both_sides, planned, ur3, tmp_path):
+    path = write_plan(from_both_sides, tmp_path / "plan.csv")
+    poses = read_poses(path, ur3)
+    np.testing.assert_allclose(poses.joints, from_both_sides.joints, rtol=1e-15)
+    np.testing.assert_allclose(poses.moves, from_both_sides.moves, atol=1e-12)
+    assert (poses.sets, poses.last_row) == (from_both_sides.sets, 72)
+    taken = read_poses(path, ur3, taken=True)
+    np.testing.assert_allclose(taken.joints, from_both_sides.estimation, rtol=1e-15)
+    assert read_poses(write_plan(planned, tmp_path / "straight.csv"), ur3).moves is None
+
+
 # Poses that were taken
 
 
@@ -187,7 +232,8 @@ def keys(value):
 def test_the_document_has_every_key(planned):
     coupling = {"elbow_joint": {"shoulder_lift_joint": -1.0}}
     robot = Robot.from_urdf(planned.robot.urdf, "base", "tool0", coupling=coupling)
-    blocked = replace(planned, blocked=(Blocked(1, 2, None),), robot=robot)
+    request = replace(planned.request, approach="one")
+    blocked = replace(planned, blocked=(Blocked(1, 2, None),), robot=robot, request=request)
     stored = plan_table(blocked)["robot"]["coupling"]
     assert stored == [{"joint": "elbow_joint", "reading": "shoulder_lift_joint", "factor": -1.0}]
     lines = (ROOT / "docs" / "planning.md").read_text(encoding="utf-8")

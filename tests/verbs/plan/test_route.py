@@ -184,3 +184,47 @@ def test_a_route_turns_goes_round_or_says_what_is_blocked():
     way = find_route(ur3, q, narrow)
     assert (way.blocked, sorted(way.order)) == ((), [0, 1, 2, 3, 4])
     assert way.travel == pytest.approx(np.radians(290.0))
+
+
+def test_a_route_comes_to_every_pose_from_all_sides(ur3):
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (8, 6))
+    side = np.full(6, 0.1)
+    sides, start = np.stack([side, -side]), np.full(6, -1.0)
+    limits = np.tile([-3.0, 3.0], (6, 1))
+    route = find_route(ur3, q, limits, start, sides=sides)
+    assert sorted(route.order.tolist()) == sorted([*range(8), *range(8)])
+    np.testing.assert_array_equal(route.joints, q[route.order])
+    np.testing.assert_array_equal(route.moves, np.tile(sides, (8, 1)))
+    driven = [start]
+    for pose, move in zip(route.joints, route.moves, strict=True):
+        driven += [pose - move, pose]
+    assert route.travel == pytest.approx(np.abs(np.diff(driven, axis=0)).max(axis=1).sum())
+
+
+def test_a_way_to_where_the_last_move_begins_is_tested(ur3):
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 6))
+    side = np.full((1, 6), 0.1)
+    limits = np.tile([-3.0, 3.0], (6, 1))
+    straight = find_route(ur3, q, limits, free_path=lambda _a, _b: True)
+    third, fourth = straight.joints[2], straight.joints[3]
+
+    def free(a, b):
+        """The way from the third pose to where the fourth is approached from is blocked, and no other."""
+        return not (np.array_equal(a, third) and np.allclose(b, fourth - 0.1))
+
+    by = np.full((1, 6), 0.5)
+    route = find_route(ur3, q, limits, None, free, lambda: by, side)
+    (blocked,) = route.blocked
+    assert (blocked.start, blocked.end) == (3, 4)
+    np.testing.assert_array_equal(blocked.by, by[0])
+
+
+def test_a_straight_route_has_the_moves_from_pose_to_pose(ur3):
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 6))
+    limits, start = np.tile([-3.0, 3.0], (6, 1)), np.full(6, -1.0)
+    route = find_route(ur3, q, limits, start)
+    np.testing.assert_array_equal(route.moves, np.diff(np.vstack([start, route.joints]), axis=0))
+    anywhere = find_route(ur3, q, limits)
+    np.testing.assert_array_equal(anywhere.moves[0], np.zeros(6))
+    np.testing.assert_array_equal(anywhere.moves[1:], np.diff(anywhere.joints, axis=0))
+    assert order_poses(np.empty((0, 6)), start=start).moves.shape == (0, 6)

@@ -15,7 +15,7 @@ from calib.instruments.tracker import noise_of_lengths
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import column_ranges, random_joint_values
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
-from calib.verbs.simulate.scenario import DEFAULT_TRACKER, Scenario
+from calib.verbs.simulate.scenario import DEFAULT_TRACKER, Scenario, simulate
 from calib.verbs.simulate.scenario_words import read_scenario
 from calib.verbs.simulate.truth import draw_truth, tracker_pose
 from tests.verbs.simulate.cells import changed, virtual
@@ -308,3 +308,30 @@ def test_each_is_refused_by_its_name(ur3, values, error):
     assert type(caught.value) is error
     (name,) = values
     assert name in str(caught.value) or "nothing" in str(caught.value)
+
+
+def test_the_moves_before_poses_may_be_stated(ur3):
+    """Lost motion is that of the stated moves, and the table knows them; poses that are drawn besides follow."""
+    scenario = Scenario(
+        ur3,
+        Cell(target=[0.05, 0.07, 0.03], T_frame_base=np.eye(4)),
+        model="dh+lost_motion",
+        sizes=None,
+        errors=(("elbow_joint.lost_motion", 1e-3),),
+        target_error=0.0,
+        noise=None,
+    )
+    q = scenario.random_poses(4, 3)
+    moves = np.array([[0.1] * 6, [-0.1] * 6] * 2)
+    made = simulate(scenario, validation=2, poses=q, moves=moves)
+    table = made.measurements
+    np.testing.assert_allclose(table.moves[:4], moves)
+    np.testing.assert_allclose(table.moves[5], table.joints[5] - table.joints[4])
+    # A joint that rose stops short.
+    elbow = ur3.joint_names.index("elbow_joint")
+    stopped = q.copy()
+    stopped[:, elbow] -= [1e-3, -1e-3, 1e-3, -1e-3]
+    expected = ur3.poses(stopped) @ made.truth.T_tip_target[0]
+    np.testing.assert_allclose(made.points[:4], expected[:, :3, 3], atol=1e-9)
+    with pytest.raises(ModelError, match="one row for each"):
+        simulate(scenario, poses=q, moves=moves[:3])
