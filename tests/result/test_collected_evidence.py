@@ -97,7 +97,7 @@ def test_it_is_said_if_all_joints_arrived_from_one_side(calibrated):
     table = c.fit.measurements
 
     def says_so(moves) -> bool:
-        result = with_part(c, "fit", measurements=replace(table, moves=moves))
+        result = with_part(c, "fit_in_memory", measurements=replace(table, moves=moves))
         return Why.ONE_SIDED in [reason.why for reason in _notes(result)]
 
     rising = np.full(table.joints.shape, 0.1)
