@@ -55,6 +55,9 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
     """
     moving = on_foot(plan.instrument, plan)
     count, forecast = len(plan.joints), plan.forecast
+    poses = f"{count} poses to measure"
+    if plan.request.approach == "both":
+        poses = f"{count // 2} poses to measure, each from both sides"
     name = plan.robot.name or "Robot"
     kinds = ["estimation" if word == "estimate" else "validation" for word in plan.sets]
     fitted, moves = plan.fitted
@@ -67,7 +70,7 @@ def plan_page(plan: Plan, *, first_row: int = 1) -> Page:
         labels=tuple(f"pose {k + 1} of {count}" for k in range(count)),
         kinds=tuple(kinds),
         nominal_target=moving.T_tip_target[0],
-        title=f"{name}: {count} poses to measure",
+        title=f"{name}: {poses}",
         note=f"Expected error of a predicted position after the calibration: {1e3 * forecast.rms:.3f} mm rms over the "
         f"workspace, {1e3 * forecast.rms_low:.3f} to {1e3 * forecast.rms_high:.3f} mm in 90 % of calibrations.",
         names=((name, "as planned"),),
