@@ -218,10 +218,10 @@ SENTENCES = {
     Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
     "URDF can represent it; calib compensate and predict() use it.",
     Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions: {after}.",
-    Why.STOPS_SHORT: "'{joint}' {stops} after each move{other_joints}. A URDF cannot represent this: predict() and "
-    "calib compensate take the order of the rows into account; else approach poses from one side.",
-    Why.CREEPS: "'{joint}' {lacks} of its last move when it was measured{other_joints}. A URDF cannot represent this: "
-    "predict() and calib compensate take the order of the rows into account; else wait longer at each pose.",
+    Why.STOPS_SHORT: "'{joint}' {stops} after each move{other_joints}. No URDF can represent it; predict() and calib "
+    "compensate do, in the order of the rows. Without them, approach poses from one side.",
+    Why.CREEPS: "'{joint}' {lacks} of its last move when it was measured{other_joints}. No URDF can represent it; "
+    "predict() and calib compensate do, in the order of the rows. Without them, wait longer at each pose.",
     Why.ONE_SIDED: "All joints arrived at every pose from one side. Lost motion, if there is some, is in their zeros: "
     "the robot is as accurate as stated where programs approach poses from this side too.",
     Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
@@ -342,9 +342,10 @@ def _words_of_mistake(values: Mapping[str, Any]) -> dict[str, str]:
         # What is wrong comes first, as a page may have no room for the remedies.
         parts = [_undone(mistake).removesuffix(".").partition(": ") for mistake in values["both"]]
         (first, _, of_first), (second, _, of_second) = parts
-        words["both_mistakes"] = (
-            f"{first}, and {second}. For the one, {of_first}; for the other, {of_second}"
-        )
+        remedies = f"For the one, {of_first}; for the other, {of_second}"
+        if of_first == of_second:
+            remedies = f"For each of them, {of_first}"
+        words["both_mistakes"] = f"{first}, and {second}. {remedies}"
     return words
 
 
