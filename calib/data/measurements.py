@@ -250,7 +250,8 @@ class Measurements(Value):
             points_unit: Unit of that list, ``"mm"``; None: the list names it.
 
         Returns:
-            The measured rows, in SI units.
+            The measured rows, in SI units; in the order of their measurement if the table has a column ``order``, else
+            as in the table.
 
         Raises:
             ArgumentError: An argument of another type.
@@ -267,7 +268,7 @@ class Measurements(Value):
             kind,
             points_elsewhere=elsewhere is not None,
         )
-        measurements = cls(**read_values(table, layout, elsewhere))
+        measurements = cls(**read_values(table, layout, elsewhere, as_measured=True))
         if not measurements.estimation.any():
             raise MeasurementError(
                 f"{measurements.source}, column 'set': no measured row is 'estimate', all "
