@@ -125,7 +125,7 @@ class Measurements(Value):
     torques: Array | None = None
     #: Readings of registered kinds by the column's name, shape (N,) each, in SI units.
     readings: Mapping[str, Array] = field(default_factory=dict)
-    #: Row numbers left out because they hold no measurement, as the table has them.
+    #: Row numbers left out because they hold no measurement, as the table has them; the moves of the others count them.
     unmeasured: tuple[int, ...] = ()
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
@@ -150,7 +150,7 @@ class Measurements(Value):
     #: None: no row has one.
     covariances: Array | None = None
     #: Last move of each joint before the row, shape (N, n), [rad] or [m], see `calib.numerics.moves.last_moves`; 0
-    #: where it is not known. None: the rows are in the order of their measurement, and their joint values tell.
+    #: where it is not known. None: their joint values tell, as the rows are in the order of their measurement.
     moves: Array | None = None
 
     def __post_init__(self) -> None:

@@ -72,8 +72,9 @@ def read_values(
         layout: Its columns.
         elsewhere: A list of measured points, which the rows name in the column ``point`` or are in
             the order of; rows whose point is not in it are left out. None: the table has them.
-        as_measured: Whether the rows are sorted as they were measured, by the column ``order`` if there is one; else
-            they are as in the table.
+        as_measured: Whether the rows are sorted as they were measured, by the column ``order`` if there is one, and
+            those of no set that measure nothing but joint values are left out; else the table is one of poses, and its
+            rows are as they are.
 
     Returns:
         Arguments of `Measurements`, in SI units.
@@ -87,6 +88,9 @@ def read_values(
         kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
     blocks = _used_numbers(table, layout, kinds)
     measured = _measured_rows(table, layout, blocks, kinds)
+    if as_measured:
+        measures_number = [name for name in layout.kinds if registry.get(name).size]
+        measured &= _has_word(table, layout, "set") | np.isin(kinds, measures_number)
 
     count = len(table.cells)
     if not count:

@@ -93,6 +93,12 @@ WAYS = {
         ("point,", ",", "distance,", "fixed,", "fixed,"),
         (",1,2,3,", ",,,,", ",,,,2.5", ",,,,", ",,,,"),
     ),
+    "sockets": (
+        "fixed",
+        "set,group,a [deg]",
+        ("estimate,A,", ",,", "estimate,A,", "estimate,B,", "estimate,B,"),
+        ("",) * 5,
+    ),
     "pairs": (
         "pair",
         "pair,a [deg],distance [m]",

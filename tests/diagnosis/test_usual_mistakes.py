@@ -206,7 +206,9 @@ def test_a_measurement_that_went_missing_moved_the_others(
     ur3: Robot, thirty: Measurements, in_file: bool, up: bool
 ):
     """In the order of the file or of the measurements, where rows are sorted otherwise in the file."""
-    number = np.random.default_rng(1).permutation(30) + 1  # of each row, in the order of measurement
+    number = (
+        np.random.default_rng(1).permutation(30) + 1
+    )  # of each row, in the order of measurement
     order = np.argsort(number) if in_file else np.arange(30)
     first, last = order[12], order[-1]
     points = thirty.points.copy()
