@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, re
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.diagnosis.usual_mistakes import doubtful_senses
-from calib.diagnosis.variant import other_variant
+from calib.diagnosis.variant import length_intervals, other_variant
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.special_cases.arm_size import measures_length
 from calib.fit.registration.rows import Rows
@@ -67,7 +68,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
     yield from computed_measurements(fitted)
-    yield from other_variant(result.nominal, result.robot)
+    intervals = partial(length_intervals, result.fit.geometry, result.geometry.scale)
+    yield from other_variant(result.nominal, result.robot, intervals)
 
     few, chosen = thin(fitted)
     scale = (result.non_geometric or result.geometry).scale

@@ -136,8 +136,9 @@ SENTENCES = {
     Why.MEASUREMENTS_COMPUTED: "Residual noise is {noise_m:mm.4f} mm per coordinate, no more than the rounding of the "
     "table ({rounding_m:mm.4f} mm), as if nothing else disturbed it: did the controller compute these positions from "
     "the joint values? Then they say nothing about the arm. Measure it with an instrument of its own.",
-    Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} mm, the "
-    "other lengths by {others_m:mm.2f} mm rms: no arm is built that inaccurately. {variant}",
+    Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} ± "
+    "{interval_m:mm.1f} mm, the other lengths by {others_m:mm.2f} mm rms: no arm is built that "
+    "inaccurately. {variant}",
     Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
     "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "

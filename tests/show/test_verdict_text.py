@@ -175,6 +175,7 @@ def test_a_wrong_cell_of_dh_rows_is_told_with_its_numbers():
 )
 def test_many_lengths_that_are_off_may_be_other_joint_values(arm, others, asks):
     """One length alone is a variant's; of a variant that is known nothing is asked, it is named."""
-    values = {"joint": "elbow", "length": "d", "moved_m": 0.02, "others_m": others, "arm": arm}
+    moved = {"moved_m": 0.02, "interval_m": 1e-4, "others_m": others}
+    values = {"joint": "elbow", "length": "d", **moved, "arm": arm}
     text = reason_text(Reason.of(Why.OTHER_VARIANT, **values))
     assert ("same moment" in text, f"a {arm}:" in text) == (asks, bool(arm))
