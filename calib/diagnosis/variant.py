@@ -92,15 +92,12 @@ def length_intervals(fitted: Fitted, scale: Scale | None) -> Array:
     robot, model, estimate = fitted.task.robot, fitted.kinematics.model, fitted.estimate
     steps = _STEP * np.sqrt(np.diag(estimate.covariance))
 
-    corrected = model.apply(robot, estimate.x)
-    lengths = _arm_lengths(corrected, robot).ravel()
+    lengths = _arm_lengths(model.apply(robot, estimate.x), robot).ravel()
     J = np.zeros((len(lengths), len(steps)))
-    for k in np.flatnonzero(steps > 0.0).tolist():
+    for k in np.flatnonzero(model.of_robot & (steps > 0.0)).tolist():
         x = estimate.x.copy()
         x[k] += steps[k]
-        moved = model.apply(robot, x)
-        if not np.array_equal(moved.placements, corrected.placements):  # else of a frame or a target
-            J[:, k] = (_arm_lengths(moved, robot).ravel() - lengths) / steps[k]
+        J[:, k] = (_arm_lengths(model.apply(robot, x), robot).ravel() - lengths) / steps[k]
     variances = np.einsum("ik,kl,il->i", J, estimate.covariance, J)
     if scale is not None:
         variances += (scale.size * (J @ scale.growth)) ** 2

@@ -7,6 +7,7 @@ from string import Formatter
 
 import pytest
 
+from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
 from calib.show.verdict_text import SENTENCES, do_not_use_text, reason_text, refusal
 
@@ -167,6 +168,16 @@ def test_a_wrong_cell_of_dh_rows_is_told_with_its_numbers():
         "'d' of 'J4' is 420 mm instead of 411 mm (9 mm too short) and 'alpha' of 'J6' is -90 deg instead of 0 deg. "
         "A tool that the controller adds, or the line 'tool', would have the same effect."
     )
+
+
+@pytest.mark.parametrize("falls", [0.05, 0.15])
+@pytest.mark.parametrize(
+    ("why", "more"),
+    [(Why.DRIFT, {}), (Why.TARGET_STEP, {"row": 7, "target": "T", "moved_m": 1e-3})],
+)
+def test_what_predicts_no_other_rows_is_not_asked_about(why, more, falls):
+    text = reason_text(Reason.of(why, share=0.3, chance=0.05, p=1e-4, falls=falls, **more))
+    assert ("?" in text) == (falls > PREDICTS)
 
 
 @pytest.mark.parametrize(
