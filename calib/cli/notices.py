@@ -45,7 +45,10 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
     empty = measurements.unmeasured
     if empty:
         total = len(measurements) + len(empty)
-        text = f"{len(empty)} of {total} rows not measured, and left out: {row_ranges(empty)}."
+        text = (
+            f"{len(empty)} of {total} rows not measured: {row_ranges(empty)}. They only tell from where the next rows "
+            "were approached."
+        )
         typer.echo(fill(text) + "\n")
     if measurements.orientation not in ("", QUATERNION.name):
         words = find_convention(measurements.orientation).words

@@ -154,7 +154,7 @@ def _kinds(
 ) -> tuple[str, ...]:
     """Return the names of the kinds of the rows: ``kind`` if given, those in the column ``kind``, or one by headers.
 
-    It is ``point`` if none of them tells. MeasurementError on a word that names no kind.
+    It is ``point`` if none of them tells. MeasurementError on a word that names no kind; rows may have none.
     """
     if kind is not None:
         return (registry.get(kind).name,)
@@ -163,7 +163,7 @@ def _kinds(
         column = named["kind"]
         cells = table.column(column)
         for i, word in enumerate(cells):
-            if word not in known:
+            if word not in known and (word or not any(cells)):
                 what = (
                     f"{plugins.unknown('kinds', word, known)} "
                     f'--columns "{column.label}=-" leaves the column out.'

@@ -125,7 +125,7 @@ class Measurements(Value):
     torques: Array | None = None
     #: Readings of registered kinds by the column's name, shape (N,) each, in SI units.
     readings: Mapping[str, Array] = field(default_factory=dict)
-    #: Row numbers left out because they hold no measurement, as the table has them.
+    #: Row numbers left out because they hold no measurement, as the table has them; the moves of the others count them.
     unmeasured: tuple[int, ...] = ()
     #: Row numbers left out by `without_copies`, as the table has them.
     copies: tuple[int, ...] = ()
@@ -150,7 +150,7 @@ class Measurements(Value):
     #: None: no row has one.
     covariances: Array | None = None
     #: Last move of each joint before the row, shape (N, n), [rad] or [m], see `calib.numerics.moves.last_moves`; 0
-    #: where it is not known. None: the rows are in the order of their measurement, and their joint values tell.
+    #: where it is not known. None: their joint values tell, as the rows are in the order of their measurement.
     moves: Array | None = None
 
     def __post_init__(self) -> None:
@@ -250,7 +250,8 @@ class Measurements(Value):
             points_unit: Unit of that list, ``"mm"``; None: the list names it.
 
         Returns:
-            The measured rows, in SI units.
+            The measured rows, in SI units; in the order of their measurement if the table has a column ``order``, else
+            as in the table.
 
         Raises:
             ArgumentError: An argument of another type.
@@ -267,7 +268,7 @@ class Measurements(Value):
             kind,
             points_elsewhere=elsewhere is not None,
         )
-        measurements = cls(**read_values(table, layout, elsewhere))
+        measurements = cls(**read_values(table, layout, elsewhere, as_measured=True))
         if not measurements.estimation.any():
             raise MeasurementError(
                 f"{measurements.source}, column 'set': no measured row is 'estimate', all "

@@ -43,6 +43,9 @@ _NO_COMMAND = "no command: "
 #: Longest text of a cell that a message quotes.
 _QUOTED = 80
 
+#: Blocks that tell where the robot was, and when, also in rows of no kind, which measure nothing.
+_OF_POSE = ("joints", "order")
+
 #: Blocks of any number of columns; the others have one.
 _WIDE = (
     "joints",
@@ -56,17 +59,22 @@ _WIDE = (
 )
 
 
-def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -> dict[str, Any]:
+def read_values(
+    table: Table, layout: Layout, elsewhere: Points | None = None, *, as_measured: bool = False
+) -> dict[str, Any]:
     """Read what the rows of a table hold.
 
-    Rows in which all cells of the measurement are empty, or whose status says that they have no command, and poses that
-    are only driven through are left out; the joints' last moves know them.
+    Rows in which all cells of the measurement, or the point's name, are empty, that have no kind, or whose status says
+    that there is no command, and poses that are only driven through are left out; the joints' last moves know them.
 
     Args:
         table: The table.
         layout: Its columns.
         elsewhere: A list of measured points, which the rows name in the column ``point`` or are in
             the order of; rows whose point is not in it are left out. None: the table has them.
+        as_measured: Whether the rows are sorted as they were measured, by the column ``order`` if there is one, and
+            those of no set that measure nothing but joint values are left out; else the table is one of poses, and its
+            rows are as they are.
 
     Returns:
         Arguments of `Measurements`, in SI units.
@@ -80,6 +88,9 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
     blocks = _used_numbers(table, layout, kinds)
     measured = _measured_rows(table, layout, blocks, kinds)
+    if as_measured:
+        measures_number = [name for name in layout.kinds if registry.get(name).size]
+        measured &= _has_word(table, layout, "set") | np.isin(kinds, measures_number)
 
     count = len(table.cells)
     if not count:
@@ -99,7 +110,7 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
     _check_words(table, layout, words, kinds, measured)
     row_numbers = list(range(1, count + 1))
     if "row" in words:
-        row_numbers = [int(text) for text in words["row"]]
+        row_numbers = [int(text) if text else 0 for text in words["row"]]
 
     points: Array | None = None
     if elsewhere is not None:
@@ -112,43 +123,52 @@ def read_values(table: Table, layout: Layout, elsewhere: Points | None = None) -
         points[np.flatnonzero(needs_point)[is_listed]] = elsewhere.points[indices[is_listed]]
         measured = measured & (~needs_point | np.isfinite(points[:, 0]))
     _check_sets(table, layout, words.get("set", ()), measured)
-    as_measured = {}
+    of_measured = {}
     for name, block in blocks.items():
-        as_measured[name] = np.where(measured[:, None], block, np.nan)
-    check_units(table, layout, as_measured)
+        of_measured[name] = np.where(measured[:, None], block, np.nan)
+    check_units(table, layout, of_measured)
 
-    # Numbers of the measured rows, in SI units.
+    # All rows as the robot went to them; unmeasured ones whose place is not known come last, after all that matter.
+    sequence = np.arange(count)
+    if "order" in blocks:
+        sequence = np.argsort(blocks["order"][:, 0], kind="stable")
+    kept = sequence[measured[sequence]] if as_measured else np.flatnonzero(measured)
+
+    # Numbers of these rows, in SI units.
     si = {}
     for name, block in blocks.items():
         to_si = [column.to_si for column in layout.blocks[name]]
-        si[name] = block[measured] * to_si
+        si[name] = block[kept] * to_si
     if points is not None:
-        si["points"] = points[measured]
+        si["points"] = points[kept]
     moves: Array | None = None
     if "joints" in blocks:
         # The robot was at unmeasured rows too: a move is from the row before, measured or not.
         visited = blocks["joints"] * [column.to_si for column in layout.blocks["joints"]]
-        order = blocks["order"][:, 0] if "order" in blocks else None
-        moves = last_moves(visited, order)[measured]
+        of_all = np.empty(visited.shape)
+        of_all[sequence] = last_moves(visited[sequence])
+        moves = of_all[kept]
         for column, stated in zip(
             layout.blocks.get("moves", ()), si.get("moves", np.empty((0, 0))).T, strict=True
         ):
             moves[:, _joint_names(layout).index(column.name.removesuffix(MOVE))] = stated
     words_of_rows = {}
     for attribute, (column_name, _) in WORD_COLUMNS.items():
-        words_of_rows[attribute] = list(compress(words.get(column_name, ()), measured))
+        cells = words.get(column_name, ())
+        words_of_rows[attribute] = [cells[i] for i in kept] if cells else []
     files = (table,) if elsewhere is None else (table, elsewhere)
+    is_missing = ~measured & ~_driven_through(table, layout) & _has_word(table, layout, "row")
     return {
         "source": " + ".join(file.source for file in files),
         "sha256": " + ".join(file.sha256 for file in files),
-        **_arrays(layout, si, int(measured.sum())),
+        **_arrays(layout, si, len(kept)),
         "units": _units(layout, elsewhere),
         **words_of_rows,
         "moves": moves,
         "ignored": layout.ignored,
-        "kinds": kinds[measured].tolist(),
-        "rows": list(compress(row_numbers, measured)),
-        "unmeasured": list(compress(row_numbers, ~measured & ~_driven_through(table, layout))),
+        "kinds": kinds[kept].tolist(),
+        "rows": [row_numbers[i] for i in kept],
+        "unmeasured": list(compress(row_numbers, is_missing)),
     }
 
 
@@ -199,6 +219,7 @@ def _used_numbers(table: Table, layout: Layout, kinds: Words) -> dict[str, Array
         block = numbers[:, start : start + len(columns)]
         start += len(columns)
         is_used = np.isin(kinds, [kind for kind, names in used.items() if name in names])
+        is_used |= (kinds == "") & (name in _OF_POSE)
         blocks[name] = np.where(is_used[:, None], block, np.nan)
     return blocks
 
@@ -220,12 +241,18 @@ def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -
     if STATUS in layout.words:
         status = table.column(layout.words[STATUS])
         measured &= [not word.startswith(_NO_COMMAND) for word in status]
+    # Where the robot only drove by, names of a point, of a pair or of a kind may be empty.
+    of_positions = _of_kinds(layout, kinds, "position")
+    measured &= (kinds != "") & (_has_word(table, layout, "point") | ~of_positions)
+    _check_kinds(table, layout, kinds)
     for kind in map(registry.get, layout.kinds):
         of_kind = kinds == kind.name
         of_measurement = _measured_blocks(kind, blocks)
-        if of_measurement and not kind.paired:  # one row of a pair has the measurement of both
+        if of_measurement:
             cells = np.hstack([blocks[name] for name in of_measurement])
-            measured &= ~(of_kind & np.isnan(cells).all(axis=1))
+            without = of_kind & np.isnan(cells).all(axis=1)
+            # One row of a pair has the measurement of both.
+            measured &= ~(without & ~_has_word(table, layout, "pair") if kind.paired else without)
         used = _used_blocks(kind, blocks)
         for name, block in blocks.items():
             if name not in used:
@@ -237,6 +264,28 @@ def _measured_rows(table: Table, layout: Layout, blocks: Blocks, kinds: Words) -
                 row, k = np.argwhere(bad)[0].tolist()
                 _fail_on_number(table, layout, row, layout.blocks[name][k])
     return measured
+
+
+def _has_word(table: Table, layout: Layout, name: str) -> Mask:
+    """Mark the rows with a word in a column of words, (rows,); all rows if the table has no such column."""
+    if name not in layout.words:
+        return np.ones(len(table.cells), dtype=np.bool_)
+    return np.array([cell != "" for cell in table.column(layout.words[name])], dtype=np.bool_)
+
+
+def _check_kinds(table: Table, layout: Layout, kinds: Words) -> None:
+    """Raise `MeasurementError` if a row without a kind has a number in a column of a measurement."""
+    names = {
+        n for kind in layout.kinds for n in _measured_blocks(registry.get(kind), layout.blocks)
+    }
+    columns = [column for name in names for column in layout.blocks[name]]
+    for i in np.flatnonzero(kinds == "").tolist():
+        if any(table.cells[i][column.index] for column in columns):
+            what = (
+                "the cell is empty, and the row has a measurement. Fill in of what kind it is: "
+                f"{choices(layout.kinds)}."
+            )
+            table.fail(i, layout.words["kind"], what, layout.words.get("row"))
 
 
 def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
@@ -271,7 +320,7 @@ def _check_words(
 ) -> None:
     """Raise `MeasurementError` if a row number is not whole, or a word is empty in a measured row that needs one."""
     for i, text in enumerate(words.get("row", ())):
-        if not _WHOLE.fullmatch(text):
+        if not _WHOLE.fullmatch(text) and (text or measured[i]):
             what = f"'{text}' is not a whole number. Number the rows."
             table.fail(i, layout.words["row"], what)
     needed = {

@@ -59,6 +59,9 @@ _TELLING = 10.0
 #: that displaces all points, and would exceed its root mean square in every third case.
 _SURE = 0.95
 
+#: A scale error agrees with the instrument's if it is within so many standard deviations.
+_NO_SURPRISE = 2.0
+
 
 def contradicted_values(
     fitted: Fitted, scale: Scale | None, *, frame_aligned: bool = False
@@ -214,7 +217,7 @@ class Scale:
     """Scale error s of the instrument, estimated jointly with the lengths of the arm.
 
     With the prior s ~ N(0, prior^2) that the instrument has, and what the rows say of it, N(share, std^2), it is normal
-    with the precision 1 / prior^2 + 1 / std^2. A fit that takes s as 0 is off by ``growth`` s.
+    with the precision 1 / prior^2 + 1 / std^2; a share that contradicts the prior counts less. A fit that takes s as 0 is off by ``growth`` s.
     """
 
     #: Share by which all measured lengths are too long
@@ -241,7 +244,7 @@ class Scale:
     @property
     def variance(self) -> float:
         """The variance of the share, by the prior and the rows."""
-        return self.std**2 * self._weight
+        return self._spread**2 * self._weight
 
     @property
     def size(self) -> float:
@@ -262,7 +265,18 @@ class Scale:
     @property
     def _weight(self) -> float:
         """The weight of what the rows say, 0 to 1; the rest is the prior's."""
-        return self.prior**2 / (self.prior**2 + self.std**2) if self.prior > 0.0 else 0.0
+        return self.prior**2 / (self.prior**2 + self._spread**2) if self.prior > 0.0 else 0.0
+
+    @property
+    def _spread(self) -> float:
+        """The ``std``, or more if the share is far beyond what it and the prior allow, and so tells of a larger one.
+
+        It grows as Student's t distribution, of few degrees of freedom, asks of a value so far out; one within
+        `_NO_SURPRISE` leaves it.
+        """
+        surprise = self.share**2 / (self.prior**2 + self.std**2)
+        ratio = (self.freedom + surprise) / (self.freedom + _NO_SURPRISE**2)
+        return self.std * float(np.sqrt(max(ratio, 1.0)))
 
 
 def instrument_scale(fitted: Fitted) -> Scale | None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Integers
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
@@ -242,8 +242,8 @@ def find_usual_mistake(
         robot: The nominal robot.
         cell: The cell as given.
         table: Points, poses or images; other kinds are not examined.
-        in_order: All rows of the file in their order, of which ``table`` may be a part; None: it is all. Only their
-            order is examined.
+        in_order: All rows of the file, of which ``table`` may be a part; None: it is all. Only their order is examined,
+            as they were measured and by their row numbers.
 
     Returns:
         The mistake, with the rms errors as given and with it undone [m] (of orientations [rad]), and others that
@@ -282,7 +282,7 @@ def find_usual_mistake(
             setups,
             () if dh is None else _trials_of_dh_rows(dh, setup, poses),
             _trials_of_joints(robot, table, setup, rows),
-            _trials_of_order(robot, cell, whole if in_order is None else in_order),
+            _trials_of_orders(robot, cell, whole if in_order is None else in_order),
             _turned_joints(robot, setup, rows, _counts_of_turned_joints(robot, setup)),
         ),
         _pairs(robot, table, setup, rows, setups),
@@ -565,15 +565,29 @@ def _best_factors(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Correction
             yield best
 
 
-def _trials_of_order(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
+def _trials_of_orders(robot: Robot, cell: Cell, table: Measurements) -> Iterator[Trial]:
+    """Yield the trials of each order that rows may have had when a measurement went missing or was entered twice.
+
+    It was that of the measurements, or that of the file, by its row numbers, if they are sorted otherwise there.
+    """
+    poses, setup = rows_and_setup(robot, table, _seen_cell(cell, table))
+    rows, numbers = _as_points(poses), np.array(table.rows)
+    yield from _trials_of_order(robot, setup, rows, numbers)
+    in_file = np.argsort(numbers, kind="stable")
+    if np.any(np.diff(in_file) < 0):
+        yield from _trials_of_order(robot, setup, rows.select(in_file), numbers[in_file])
+
+
+def _trials_of_order(
+    robot: Robot, setup: Setup, rows: Rows, row_numbers: Integers
+) -> Iterator[Trial]:
     """Yield the best trials in which measurements are moved by a row against joint values, from some row to the last.
 
     From the first row on all are shifted. From a later one on, one measurement is missing and the others moved up, or
     one is there twice and they moved down. Names of frames and targets belong to the joint values or to the
-    measurements.
+    measurements. The rows, which are points, have these numbers in the table, (N,).
     """
-    poses, setup = rows_and_setup(robot, table, _seen_cell(cell, table))
-    rows, free = _as_points(poses), _with_unknown_targets(setup)
+    free = _with_unknown_targets(setup)
     last = len(rows) - 1
     if last < _FEWEST_ROWS_OF_ORDER:
         return
@@ -609,7 +623,7 @@ def _trials_of_order(robot: Robot, cell: Cell, table: Measurements) -> Iterator[
                 continue
             values: dict[str, Any] = {"later": not up}
             if best > 0:
-                values = {"row": table.rows[best], "up": up}
+                values = {"row": int(row_numbers[best]), "up": up}
             why = Why.ROWS_MOVED if best > 0 else Why.ROWS_SHIFTED
             trial = moved(best, up=up, named=named)
             factor = _FREE if best > 0 else _ONE_OF_MANY

@@ -7,14 +7,16 @@ still another one in meshes, masses and limits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from calib.basics.arrays import Array
 from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.stated_values import Scale
+from calib.fit.estimate.fitting import Fitted
 from calib.model.dh_table import dh_table
-from calib.numerics.errors import rms
+from calib.numerics.errors import interval_factor, rms
 from calib.robot.robot import Robot
 from calib.robot.ur_models import MODELS
 
@@ -27,40 +29,79 @@ _UNLIKE_OTHERS = 20.0
 #: Variants do not differ by less than this, such as the error of a flange or of a washer [m].
 _NO_VARIANT = 1e-3
 
+#: Steps of the parameters with which lengths are derived, in standard deviations: far below what bends their effect.
+_STEP = 0.1
+
 #: An arm has the lengths of a type if none differs by more than this, a few times the largest error of an arm [m].
 _SAME_ARM = 2e-3
 
 
-def other_variant(nominal: Robot, corrected: Robot) -> Iterator[Reason]:
-    """Yield a reason if a length of an arm has changed by more than any arm's is off.
+def other_variant(
+    nominal: Robot, corrected: Robot, intervals: Callable[[], Array]
+) -> Iterator[Reason]:
+    """Yield a reason if a length of an arm has changed by more than any arm's is off, whatever the rows leave open.
 
     Lengths are a and d of DH rows, d of parallel axes in one of them, from the second to the last but one: the others
-    are where base and target are.
+    are where base and target are. A length that the rows hardly determine may have changed by any amount: what counts
+    is the least change within its interval.
 
     Args:
         nominal: The robot of the URDF.
         corrected: The same with the corrections of a fit.
+        intervals: Returns half the width of the interval of each length, as `length_intervals`, shape (n - 2, 2) [m].
 
     Yields:
-        The reason with the joint of the row, the length, ``"a"`` or ``"d"``, its change and the rms change of the other
-        lengths [m], and the type of arm whose lengths the corrected robot has, "" if none is known.
+        The reason with the joint of the row, the length, ``"a"`` or ``"d"``, its change, half the width of its interval
+        and the rms change of the other lengths [m], and the type of arm whose lengths the corrected robot has, "" if
+        none is known.
     """
     of_nominal, of_corrected = _arm_lengths(nominal), _arm_lengths(corrected, nominal)
     sizes = np.abs(of_corrected - of_nominal)
-    if not sizes.size:
+    others = np.array([rms(np.delete(sizes, i)) for i in range(sizes.size)]).reshape(-1, 2)
+    excess = sizes - np.clip(_UNLIKE_OTHERS * others, _NO_VARIANT, _NO_ARM)
+    if not np.any(excess > 0.0):
         return
-    row, column = np.unravel_index(np.argmax(sizes), sizes.shape)
-    moved, rest = float(sizes[row, column]), np.delete(sizes, np.argmax(sizes))
-    others = rms(rest)
-    if moved > max(_NO_VARIANT, min(_NO_ARM, _UNLIKE_OTHERS * others)):
+    half_widths = intervals()
+    least = excess - half_widths
+    row, column = np.unravel_index(np.argmax(least), least.shape)
+    if least[row, column] > 0.0:
         yield Reason.of(
             Why.OTHER_VARIANT,
             joint=nominal.joints[1 + int(row)].name,
             length="ad"[int(column)],
-            moved_m=moved,
-            others_m=others,
+            moved_m=float(sizes[row, column]),
+            interval_m=float(half_widths[row, column]),
+            others_m=float(others[row, column]),
             arm=_type_of_ur(of_nominal, of_corrected),
         )
+
+
+def length_intervals(fitted: Fitted, scale: Scale | None) -> Array:
+    """Return half the width of the interval of 95 % of each length that `other_variant` compares.
+
+    The variance of the lengths is that of the parameters, J C J^T with the derivative J by small steps of each; a scale
+    error of the instrument, of one standard deviation, adds to it what it does to all parameters together.
+
+    Args:
+        fitted: A fit of the geometry.
+        scale: The scale error of its instrument; None: there is none.
+
+    Returns:
+        Shape (n - 2, 2), of a and d of the joints from the second to the last but one [m].
+    """
+    robot, model, estimate = fitted.task.robot, fitted.kinematics.model, fitted.estimate
+    steps = _STEP * np.sqrt(np.diag(estimate.covariance))
+
+    lengths = _arm_lengths(model.apply(robot, estimate.x), robot).ravel()
+    J = np.zeros((len(lengths), len(steps)))
+    for k in np.flatnonzero(model.of_robot & (steps > 0.0)).tolist():
+        x = estimate.x.copy()
+        x[k] += steps[k]
+        J[:, k] = (_arm_lengths(model.apply(robot, x), robot).ravel() - lengths) / steps[k]
+    variances = np.einsum("ik,kl,il->i", J, estimate.covariance, J)
+    if scale is not None:
+        variances += (scale.size * (J @ scale.growth)) ** 2
+    return np.asarray(interval_factor(estimate.freedom) * np.sqrt(variances)).reshape(-1, 2)
 
 
 def _arm_lengths(robot: Robot, like: Robot | None = None) -> Array:

@@ -11,7 +11,7 @@ from calib.basics.arrays import Array
 SAME_POSE = 1e-3
 
 
-def last_moves(joints: ArrayLike, order: ArrayLike | None = None) -> Array:
+def last_moves(joints: ArrayLike) -> Array:
     """Return the last move of each joint before each of N rows.
 
         move_i = q_i - q_rest,    q_rest: where the joint came to rest before row i
@@ -20,22 +20,15 @@ def last_moves(joints: ArrayLike, order: ArrayLike | None = None) -> Array:
     them.
 
     Args:
-        joints: Shape (N, m), joint values [rad] or [m]; rows with a NaN are passed over.
-        order: Shape (N,), numbers that sort the rows as they were measured, such as times; rows of one number keep
-            their order, and those without (NaN) are passed over. None: the rows are in order.
+        joints: Shape (N, m), joint values [rad] or [m], in the order in which the robot took them; rows with a NaN are
+            passed over.
 
     Returns:
         Shape (N, m), [rad] or [m]; 0 before the first move that is known, and in rows that are passed over.
     """
     values = np.atleast_2d(np.asarray(joints, dtype=np.float64))
     moves = np.zeros(values.shape)
-    known = np.all(np.isfinite(values), axis=1)
-    rows = np.arange(len(values))
-    if order is not None:
-        times = np.asarray(order, dtype=np.float64)
-        known &= np.isfinite(times)
-        rows = np.argsort(times, kind="stable")
-    rows = rows[known[rows]]
+    rows = np.flatnonzero(np.all(np.isfinite(values), axis=1))
     for k in range(values.shape[1]):
         moves[rows, k] = _moves_of_joint(values[rows, k].tolist())
     return moves

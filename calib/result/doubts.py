@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, re
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.diagnosis.usual_mistakes import doubtful_senses
-from calib.diagnosis.variant import other_variant
+from calib.diagnosis.variant import length_intervals, other_variant
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.special_cases.arm_size import measures_length
 from calib.fit.registration.rows import Rows
@@ -67,7 +68,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
     yield from computed_measurements(fitted)
-    yield from other_variant(result.nominal, result.robot)
+    intervals = partial(length_intervals, result.fit.geometry, result.geometry.scale)
+    yield from other_variant(result.nominal, result.robot, intervals)
 
     few, chosen = thin(fitted)
     scale = (result.non_geometric or result.geometry).scale
@@ -107,7 +109,7 @@ def noise_doubts(
         result: The result with its table and cell in memory, which may state the noise.
         fitted: One of its fits.
         doubts: Doubts so far. If a model lacks something, large residuals are not noise, and not named; nor if those of
-            a named geometry follow a joint.
+            a named geometry follow a joint, or the non-geometric model leaves far smaller ones.
 
     Yields:
         A reason with the noise of a scalar as stated and as estimated, in the channel's unit [m], [rad] or [px], and
@@ -119,12 +121,15 @@ def noise_doubts(
     lacking = Why.MODEL_LACKS in codes or (unexplained and Why.JOINT_PATTERN in codes)
 
     m, rows = result.fit.measurements, fitted.estimate.problem.rows
+    best = result.fit.non_geometric or fitted
+    left = best.estimate.problem.noise_over_sigma.tolist()
     for c, ratio in enumerate(fitted.estimate.problem.noise_over_sigma.tolist()):
         of_channel, _ = np.nonzero(rows.channels.index == c)
         symbol = rows.channels.units[c]
         unit = RESIDUAL_UNITS[symbol]
         sigma = float(np.median(rows.sigma[symbol][of_channel]))
         noise = ratio * sigma
+        is_explained = lacking or left[c] <= _FAR_LESS * ratio
 
         stated = symbol in result.fit.cell.sigma
         if symbol in m.stated_sigma:
@@ -132,10 +137,10 @@ def noise_doubts(
             stated |= bool(np.all(np.isfinite(by_row)))
         sizes = {f"before_{symbol}": sigma, f"after_{symbol}": noise}
         if not stated:
-            if noise > unit.large_noise and not lacking:
+            if noise > unit.large_noise and not is_explained:
                 yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})
         elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):
-            if not lacking:
+            if not is_explained:
                 yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
         elif sigma > _ABOVE * noise or noise > _FAR_ABOVE * sigma:
             yield Reason.of(Why.SIGMA_UNLIKELY, **sizes)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.show.lines import listed, mm, plural
 from calib.show.words import absurd_size, joint_unit, sizes_of
@@ -136,8 +137,9 @@ SENTENCES = {
     Why.MEASUREMENTS_COMPUTED: "Residual noise is {noise_m:mm.4f} mm per coordinate, no more than the rounding of the "
     "table ({rounding_m:mm.4f} mm), as if nothing else disturbed it: did the controller compute these positions from "
     "the joint values? Then they say nothing about the arm. Measure it with an instrument of its own.",
-    Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} mm, the "
-    "other lengths by {others_m:mm.2f} mm rms: no arm is built that inaccurately. {variant}",
+    Why.OTHER_VARIANT: "The length {length} of '{joint}' (DH) has changed by {moved_m:mm.1f} ± "
+    "{interval_m:mm.1f} mm, the other lengths by {others_m:mm.2f} mm rms: no arm is built that "
+    "inaccurately. {variant}",
     Why.BASE_MOVED: "The base, or the first joint's axis in it, is {moved_m:mm.1f} mm and "
     "{turned_rad:deg.2f} deg away from where the given measurement frame puts it. This moves the "
     "points by {effect_m:mm.1f} mm rms; all other corrections of the arm move them by "
@@ -168,8 +170,7 @@ SENTENCES = {
     "extrapolated. The measured tip positions spread {spread:%.0f} % as far as the joint limits "
     "allow.",
     Why.JOINT_PATTERN: _NOT_NOISE + "the {quantity} of '{joint}' " + _SHARE + ".",
-    Why.DRIFT: f"{_NOT_NOISE}they drift in the order of the rows, which {_SHARE}. {_FALLS} Did "
-    "something warm up, or move?",
+    Why.DRIFT: f"{_NOT_NOISE}they drift in the order of the rows, which {_SHARE}. {_FALLS} {{warmed}}",
     Why.DRIFT_REMOVED: "The measured positions drifted by {drift} from the first row to the last; this "
     "was estimated, and taken out of them before the fit. Did the instrument warm up, or its foot "
     "move?",
@@ -207,21 +208,21 @@ SENTENCES = {
     "{share:%.0f} % of the residuals: give the joint values as precisely as the controller knows "
     "them.",
     Why.TARGET_STEP: f"{_NOT_NOISE}from row {{row}} on the target '{{target}}' is displaced by "
-    f"{{moved_m:mm.2f}} mm in the tip, which {_SHARE}. {_FALLS} Was it knocked or remounted? Give "
-    "those rows a new target name (column 'target').",
+    f"{{moved_m:mm.2f}} mm in the tip, which {_SHARE}. {_FALLS} {{knocked}}",
     Why.LENGTHS_SCALED: "All lengths of the robot together are {scale:%+.2f} % off (standard error "
     "{std:%.2f} %): either the arm's, more than those of any arm, or the instrument's. Check its "
     "scale (the size of a printed board, a tracker's temperature, the unit).",
     Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no {family} does. Are "
     "the masses, the payload and the direction of gravity right?",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
-    Why.LARGER_MODEL: "With the non-geometric model '{model}' it is {after} (verdict: {use}). No "
-    "URDF can represent it; calib compensate and predict() use it.",
-    Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions: {after}.",
-    Why.STOPS_SHORT: "'{joint}' {stops} after each move{other_joints}. No URDF can represent it; predict() and calib "
-    "compensate do, in the order of the rows. Without them, approach poses from one side.",
-    Why.CREEPS: "'{joint}' {lacks} of its last move when it was measured{other_joints}. No URDF can represent it; "
-    "predict() and calib compensate do, in the order of the rows. Without them, wait longer at each pose.",
+    Why.LARGER_MODEL: "With the non-geometric model '{model}' the error on held-out rows is {after} "
+    "(verdict: {use}). No URDF can represent it; calib compensate and predict() use it.",
+    Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions on held-out "
+    "rows: {after}.",
+    Why.STOPS_SHORT: "'{joint}' {stops} after each move{other_joints}: calib compensate and predict() correct this by "
+    "the order of the rows. To avoid it, approach poses from one side.",
+    Why.CREEPS: "'{joint}' {lacks} of its last move when it was measured{other_joints}: calib compensate and predict() "
+    "correct this by the order of the rows. To avoid it, wait longer at each pose.",
     Why.ONE_SIDED: "All joints arrived at every pose from one side. Lost motion, if there is some, is in their zeros: "
     "the robot is as accurate as stated where programs approach poses from this side too.",
     Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
@@ -232,7 +233,7 @@ SENTENCES = {
     "ignored.",
     Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
     "back by 360 deg; the URDF's limits decide.",
-    Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} it falls {change}.",
+    Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} the error falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
     Why.CAMERA_ON_OTHER_LINK: _OFF
@@ -376,6 +377,13 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         variant = f"The corrected lengths are those of a {values['arm']}: if the arm is one, use its URDF."
 
     p, falls = values.get("p", 1.0), values.get("falls", 0.0)
+    knocked = "So it was probably not knocked."
+    warmed = "So probably nothing warmed up, or moved."
+    if falls >= PREDICTS:
+        knocked = (
+            "Was it knocked or remounted? Give those rows a new target name (column 'target')."
+        )
+        warmed = "Did something warm up, or move?"
     words = {
         "before": f"{listed(before)} rms",
         "after": f"{listed(after)} rms",
@@ -391,6 +399,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "chance_explains": _percent(values.get("chance", 0.0)),
         "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
         "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",
+        "knocked": knocked,
+        "warmed": warmed,
         "outliers_aside": "",
         "free_of_noise": ", noise subtracted",
         "with_noise": "",

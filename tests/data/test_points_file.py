@@ -229,7 +229,7 @@ def test_points_are_matched_in_order(listed, table):
             {},
             "row 2: in tracker.txt row 1 names the point 'A::M::P1' too",
         ),
-        (("a [deg],point", "1,P1", "2,"), {}, "line 3 (row 2), column 'point': the cell is empty"),
+        (("a [deg],point", "1,", "2,"), {}, "nothing is measured yet in its 2 rows"),
         (("a [deg],group", "1,P1", "2,"), {"kind": "fixed"}, "here they are 'fixed'"),
         (("a [deg],kind", "1,point", "2,pose"), {}, "here they are 'point', 'pose'"),
     ],

@@ -131,3 +131,23 @@ def test_a_target_that_was_knocked(make_scene, row, by):
     told = reasons(result)[Why.TARGET_STEP]
     assert (result.verdict.use, told["row"]) == ("use with care", row)
     assert told["moved_m"] == pytest.approx(by, rel=0.05)
+
+
+def test_a_target_that_was_knocked_in_a_table_that_is_sorted_otherwise(make_scene, tmp_path):
+    """The table has the row's number in the file; what happens in its order is found in that of the measurement."""
+    scene, knock = arm(make_scene, 69), np.array([0.0, 3e-3, 0.0])
+    q = random_joint_values(scene.robot, 70, 9)
+    m = table_of(scene, q, np.random.default_rng(9))
+    later = (np.arange(70) >= 34)[:, None]
+    turned = scene.robot.poses(q)[:, :3, :3] @ knock
+    replace(m, points=m.points + later * turned).write(tmp_path / "data.csv")
+    header, *rows = (tmp_path / "data.csv").read_text().splitlines()
+    in_file = np.random.default_rng(2).permutation(70)
+    lines = [f"{header.replace('row,', 'order,')}", *(rows[k] for k in in_file)]
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    result = calibrate(scene.robot, tmp_path / "data.csv", model="dh")
+    assert reasons(result)[Why.TARGET_STEP]["row"] == np.flatnonzero(in_file == 34)[0] + 1
+    # Without the order there is no step, and rows are outliers or noise.
+    (tmp_path / "data.csv").write_text("\n".join(lines).replace("order,", "-,"))
+    result = calibrate(scene.robot, tmp_path / "data.csv", model="dh")
+    assert Why.TARGET_STEP not in reasons(result)

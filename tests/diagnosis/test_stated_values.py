@@ -110,6 +110,11 @@ def test_few_determined_lengths_bound_the_scale_less():
     assert few.bound == pytest.approx(4.920e-3, rel=1e-3)
     named = replace(few, prior=1e-3)
     assert (named.mean, named.variance) == (pytest.approx(1e-3), pytest.approx(5e-7))
+    # A share of a hundred times what the instrument has is an error of the few lengths.
+    contradicted = Scale(freedom=1.0, **(given | {"share": 1.0, "std": 0.1, "prior": 0.01}))
+    assert contradicted.size == pytest.approx(0.01, rel=0.05)
+    assert contradicted.bound < 0.02
+    assert replace(contradicted, freedom=1e6).mean == pytest.approx(1.0 / 101.0, rel=1e-3)
     certified = replace(few, prior=0.0)
     assert (certified.size, certified.bound) == (0.0, 0.0)
 

@@ -200,6 +200,29 @@ def test_measurements_that_stand_a_row_away_from_their_joint_values(
     assert 2e-3 < told.values["error_m"] < 3e-3
 
 
+@pytest.mark.parametrize("up", [True, False])
+@pytest.mark.parametrize("in_file", [True, False])
+def test_a_measurement_that_went_missing_moved_the_others(
+    ur3: Robot, thirty: Measurements, in_file: bool, up: bool
+):
+    """In the order of the file or of the measurements, where rows are sorted otherwise in the file."""
+    number = (
+        np.random.default_rng(1).permutation(30) + 1
+    )  # of each row, in the order of measurement
+    order = np.argsort(number) if in_file else np.arange(30)
+    first, last = order[12], order[-1]
+    points = thirty.points.copy()
+    source, sink = (order[13:], order[12:-1]) if up else (order[12:-1], order[13:])
+    points[sink] = thirty.points[source]
+    # Of the measurements that moved up the last place is empty; of those that moved down the first.
+    kept = np.arange(30) != (last if up else first)
+    table = replace(thirty, points=points, rows=tuple(number.tolist()))
+    told = find_usual_mistake(ur3, Cell(), table.select(kept) if up else table)
+    assert (told.why, told.values["up"]) == (Why.ROWS_MOVED, up)
+    assert told.values["row"] in number[order[11:15]]
+    assert told.values["error_m"] < 5e-3
+
+
 def test_one_axis_in_another_unit(ur3: Robot, thirty: Measurements):
     told = find_usual_mistake(ur3, Cell(), spoilt(thirty, points=[1.0, 1e-3, 1.0]))
     assert (told.why, told.values["what"]) == (Why.WRONG_UNIT, "values of 'y'")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from calib.numerics.moves import SAME_POSE, last_moves
 
@@ -24,19 +23,8 @@ def test_joints_move_each_for_itself():
     np.testing.assert_allclose(last_moves(q), expected, atol=1e-12)
 
 
-def test_rows_are_sorted_by_their_order():
-    shuffled = np.array([3, 0, 5, 1, 4, 2])
-    moves = last_moves(VALUES[shuffled, None], order=10.0 * shuffled)
-    np.testing.assert_allclose(moves[:, 0], MOVES[shuffled], atol=1e-15)
-
-
-@pytest.mark.parametrize("by_order", [False, True])
-def test_rows_without_values_or_without_order_are_passed_over(by_order):
-    q = np.insert(VALUES, 2, 7.0 if by_order else np.nan)
-    order = np.arange(7.0)
-    if by_order:
-        order[2] = np.nan
-    moves = last_moves(q[:, None], order)[:, 0]
+def test_rows_without_values_are_passed_over():
+    moves = last_moves(np.insert(VALUES, 2, np.nan)[:, None])[:, 0]
     np.testing.assert_allclose(moves, np.insert(MOVES, 2, 0.0), atol=1e-15)
 
 

@@ -341,3 +341,16 @@ def test_copies_of_rows_are_left_out(make_scene):
     one, other = judged(make_scene, 72, rows=40), judged(make_scene, 72, twice, rows=40)
     np.testing.assert_array_equal(one.geometry.x, other.geometry.x)
     assert reasons(other)[Why.ROWS_COPIED] == {"rows": 40, "row": 2}
+
+
+def test_residuals_that_a_non_geometric_model_explains_are_no_noise(make_scene):
+    scene = arm(make_scene, 71, model="dh+eccentricity", other={"eccentricity": 1e-2})
+    m = table_of(scene, random_joint_values(scene.robot, 60, 11), np.random.default_rng(11))
+    result = calibrate(scene.robot, m, model="dh+eccentricity", validate=False)
+    fits = (result.fit.geometry, result.fit.non_geometric)
+    geometry, non_geometric = (one.estimate.sigma["m"] for one in fits)
+    assert geometry > 1e-3 > 10.0 * non_geometric
+    assert not list(noise_doubts(result, result.fit.geometry, ()))
+    alone = calibrate(scene.robot, m, model="dh", validate=False)
+    [doubt] = noise_doubts(alone, alone.fit.geometry, ())
+    assert doubt.why is Why.NOISE_LARGE

@@ -7,6 +7,7 @@ from string import Formatter
 
 import pytest
 
+from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.reasons import CARE, NO, USE, Reason, Verdict, Why
 from calib.show.verdict_text import SENTENCES, do_not_use_text, reason_text, refusal
 
@@ -169,12 +170,23 @@ def test_a_wrong_cell_of_dh_rows_is_told_with_its_numbers():
     )
 
 
+@pytest.mark.parametrize("falls", [0.05, 0.15])
+@pytest.mark.parametrize(
+    ("why", "more"),
+    [(Why.DRIFT, {}), (Why.TARGET_STEP, {"row": 7, "target": "T", "moved_m": 1e-3})],
+)
+def test_what_predicts_no_other_rows_is_not_asked_about(why, more, falls):
+    text = reason_text(Reason.of(why, share=0.3, chance=0.05, p=1e-4, falls=falls, **more))
+    assert ("?" in text) == (falls > PREDICTS)
+
+
 @pytest.mark.parametrize(
     ("arm", "others", "asks"),
     [("", 2e-4, False), ("", 2e-3, True), ("UR3", 2e-3, False)],
 )
 def test_many_lengths_that_are_off_may_be_other_joint_values(arm, others, asks):
     """One length alone is a variant's; of a variant that is known nothing is asked, it is named."""
-    values = {"joint": "elbow", "length": "d", "moved_m": 0.02, "others_m": others, "arm": arm}
+    moved = {"moved_m": 0.02, "interval_m": 1e-4, "others_m": others}
+    values = {"joint": "elbow", "length": "d", **moved, "arm": arm}
     text = reason_text(Reason.of(Why.OTHER_VARIANT, **values))
     assert ("same moment" in text, f"a {arm}:" in text) == (asks, bool(arm))

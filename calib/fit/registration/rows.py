@@ -250,17 +250,18 @@ class Rows:
             result[rows] = test(kind)
         return result
 
-    def select(self, which: Mask | slice) -> Rows:
-        """Return some of the rows, in their order.
+    def select(self, which: Mask | Integers | slice) -> Rows:
+        """Return some of the rows.
 
         Args:
-            which: shape (N,) or a slice; of a pair both rows or none.
+            which: A mask of shape (N,), indices in any order, or a slice; of a pair both rows or none.
 
         Returns:
             These rows; partners and channels get new numbers.
         """
-        chosen = np.arange(len(self))[which]
-        if len(chosen) == len(self):
+        every = np.arange(len(self))
+        chosen = every[which]
+        if np.array_equal(chosen, every):
             return self
         partner = self.partner[chosen]
         if np.any(partner >= 0):

@@ -156,7 +156,8 @@ def read_sweeps(
             for k in joint_columns:
                 cells[k] = cells[k] or "0"
         rows.append(cells)
-    values = Measurements(**read_values(replace(table, cells=tuple(rows)), layout, listed))
+    filled = replace(table, cells=tuple(rows))
+    values = Measurements(**read_values(filled, layout, listed, as_measured=True))
     return _split(
         words=values.groups,
         points=values.points,

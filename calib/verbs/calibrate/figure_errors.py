@@ -273,8 +273,10 @@ def _curve(ax: Axes, rows: NDArray[np.int_], values: Array, style: RobotStyle) -
     finite = np.isfinite(values)
     if not finite.any():  # no entry in the legend either
         return
-    rows = rows[finite]
-    values = values[finite]
+    # Rows that were measured in another order than that of their numbers are drawn by number.
+    by_number = np.argsort(rows[finite], kind="stable")
+    rows = rows[finite][by_number]
+    values = values[finite][by_number]
     few = len(values) <= _MOST_MARKERS
     look: dict[str, Any] = {"color": style.colour, "label": style.label, "zorder": 3}
     if few:

@@ -395,7 +395,7 @@ def _identifiability(c: Calibration) -> Iterator[Block]:
 def _measurements(c: Calibration) -> Iterator[Block]:
     """List what was measured, where, with which noise, the joints' ranges, and validation rows outside of them."""
     m, facts = c.fit.measurements, texts.facts(c)
-    unused = f"; {len(m.unmeasured):,} more without a measurement, not used" if m.unmeasured else ""
+    unused = f"; {len(m.unmeasured):,} more without a measurement" if m.unmeasured else ""
     at = ", ".join(mm(value) for value in c.T_frame_base[:3, 3])
     rpy = ", ".join(deg(angle) for angle in pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]))
     held = [f"{name} at {value:.6g}" for name, value in c.fit.cell.held.items()]

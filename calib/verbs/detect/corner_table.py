@@ -1,4 +1,8 @@
-"""The table of corners: a row for each, with the joint values of its picture as the table of joints has them."""
+"""The table of corners: a row for each, with the joint values of its picture as the table of joints has them.
+
+Rows are in the order of the table of joints, which is that in which the robot went to the poses. A pose without corners
+has one row, in which nothing is measured: the next one is approached from there.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from dataclasses import replace
 from calib.basics.files import csv_bytes
 from calib.boards.detection.board_search import BoardView
 from calib.boards.detection.detect import Detection
-from calib.boards.detection.picture import NO_ROW, ImageFile
+from calib.boards.detection.picture import NO_ROW, ImageFile, Picture
 from calib.errors import MeasurementError
 from calib.verbs.detect.matching import IMAGE, TARGET, JointTable, Matches
 
@@ -44,7 +48,7 @@ def with_rows_only(detection: Detection, matches: Matches) -> Detection:
 
 
 def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> bytes:
-    """Return the table of all corners that are used, as CSV.
+    """Return the table of all corners that are used, and of the poses without any, as CSV.
 
     Args:
         detection: The corners and the pictures that they are in.
@@ -59,10 +63,12 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
         MeasurementError: Some pictures have a camera, others do not.
     """
     used = []
+    of_row: dict[int, list[Picture]] = {}
     for picture, row in zip(detection.pictures, matches.rows, strict=True):
         if row is not None and picture.used:
-            used.append((picture, row))
-    without = [picture for picture, _ in used if not picture.file.camera]
+            used.append(picture)
+            of_row.setdefault(row, []).append(picture)
+    without = [picture for picture in used if not picture.file.camera]
     if without and len(without) < len(used):
         raise MeasurementError(
             f"The camera of the picture '{without[0].file.name}' is not named, but those of others are. Name that of "
@@ -82,17 +88,21 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
     heads += ["group"] if has_camera else []
     heads += [TARGET] if has_target else []
     rows = [[*heads, *_CORNER_HEADS]]
-    for picture, row in used:
-        for view in picture.used:
-            cells: list[object] = [joints.cell(row, column) for _, column in columns]
-            cells.append(picture.file.name)
-            cells += [picture.file.camera] if has_camera else []
-            cells += [_target(joints, row, view, several=len(boards) > 1)] if has_target else []
-            positions = boards[view.board].corners
-            for corner, pixel, sigma in zip(view.ids, view.pixels, view.sigma, strict=True):
-                place = [round(float(length), 9) for length in positions[corner]]
-                found = [round(float(value), 4) for value in (*pixel, sigma)]
-                rows.append([*cells, int(corner), *place, *found, KIND])
+    for row in range(len(joints.table.cells)):
+        of_pose: list[object] = [joints.cell(row, column) for _, column in columns]
+        if row not in of_row:
+            nothing = [""] * (len(rows[0]) - len(of_pose) - 2)
+            rows.append([*of_pose, joints.cell(row, joints.image), *nothing, KIND])
+        for picture in of_row.get(row, ()):
+            for view in picture.used:
+                cells = [*of_pose, picture.file.name]
+                cells += [picture.file.camera] if has_camera else []
+                cells += [_target(joints, row, view, several=len(boards) > 1)] if has_target else []
+                positions = boards[view.board].corners
+                for corner, pixel, sigma in zip(view.ids, view.pixels, view.sigma, strict=True):
+                    place = [round(float(length), 9) for length in positions[corner]]
+                    found = [round(float(value), 4) for value in (*pixel, sigma)]
+                    rows.append([*cells, int(corner), *place, *found, KIND])
     return csv_bytes(rows)
 
 

@@ -41,7 +41,10 @@ _NUMBER = re.compile(r"\d+")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointTable(Value):
-    """A table of joint values: a row for each picture, or for the pictures that several cameras took at once."""
+    """A table of joint values: a row for each picture, or for the pictures that several cameras took at once.
+
+    Rows that name no picture are poses that the robot drove by.
+    """
 
     table: Table
     #: The columns in order, by the names under which they are read.
@@ -82,9 +85,13 @@ class JointTable(Value):
         return "" if column is None else self.table.cells[row][column.index]
 
     def key(self, row: int) -> str:
-        """Return what pictures are matched with a row by: their number, or their name without folders and ending."""
+        """Return what pictures are matched with a row by: their number, or their name without folders and ending.
+
+        It is empty if the row names no picture.
+        """
         if self.index is not None:
-            return str(int(self.cell(row, self.index)))
+            number = self.cell(row, self.index)
+            return str(int(number)) if number else ""
         return _stem(self.cell(row, self.image))
 
 
@@ -96,7 +103,7 @@ class Matches(Value):
     rows: tuple[int | None, ...]
     #: The camera of each picture; "" if it is not stated.
     cameras: tuple[str, ...]
-    #: Rows without a picture, from 0.
+    #: Rows whose picture is not there, from 0.
     unmatched: tuple[int, ...]
 
 
@@ -132,7 +139,7 @@ def read_joint_table(
                 f"{list_columns(table)}"
             )
         for row, cell in enumerate(table.column(column)):
-            if not cell.isdecimal():
+            if cell and not cell.isdecimal():
                 table.fail(
                     row, column, f"'{cell}' is not the number of a picture, such as 7 or 0007."
                 )
@@ -158,7 +165,7 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
         images: The pictures.
 
     Returns:
-        The row of each picture, None if there is none, and its camera; and the rows without a picture.
+        The row of each picture, None if there is none, and its camera; and the rows whose picture is not there.
 
     Raises:
         MeasurementError: Two rows fit a picture, or a row fits two pictures of one camera, or none fits any.
@@ -166,7 +173,8 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
     source = joints.table.source
     by_key = defaultdict(list)
     for number in range(len(joints.table.cells)):
-        by_key[joints.key(number)].append(number)
+        if joints.key(number):
+            by_key[joints.key(number)].append(number)
     rows: list[int | None] = []
     cameras = []
     for image in images:
@@ -202,7 +210,7 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
                 f"'{image.name}'. Write the folder before the name; or, if they are of two cameras, say so: "
                 '--camera-name "NAME=FOLDER".'
             )
-    unmatched = set(range(len(joints.table.cells))) - set(rows)
+    unmatched = {row for of_key in by_key.values() for row in of_key} - set(rows)
     return Matches(tuple(rows), tuple(cameras), tuple(sorted(unmatched)))
 
 

@@ -9,7 +9,7 @@ another, and the distance Dc_j that the robot's model predicts for their joint v
     dAP = max |AP_t - AP_1|                     between the later tens of repeats t of one pose and the first ten
     dRP = max |RP_t - RP_1|
 
-where S is the standard deviation over n - 1. Rows in the order of the table are taken to be in the order of time.
+where S is the standard deviation over n - 1. Rows are in the order of their measurement.
 """
 
 from __future__ import annotations

@@ -228,7 +228,7 @@ def _measurements(e: Assessment) -> Block:
     m = e.evaluations["urdf"].measurements
     unused = ""
     if m.unmeasured:
-        unused = f" ({len(m.unmeasured):,} more without a measurement, not used)"
+        unused = f" ({len(m.unmeasured):,} more without a measurement)"
     return Facts([("Rows", f"{len(m):,}{unused}"), ("Each row measures", kinds_text(m))])
 
 

@@ -53,12 +53,17 @@ def test_a_row_a_corner_with_the_joints_as_written(tmp_path: Path):
     assert len(rows) == 2
 
 
-def test_pictures_that_are_not_used_have_no_rows(tmp_path: Path):
-    joints = joints_of(tmp_path, "image,j1 [deg]\n1.png,1\n2.png,2\n")
+def test_poses_whose_picture_is_not_used_have_a_row_without_a_corner(tmp_path: Path):
+    joints = joints_of(tmp_path, "image,j1 [deg]\n2.png,2\n1.png,1\n,3\n")
     found = detection(
         picture("1.png", view()), picture("2.png", view(reason="cut")), picture("3.png", view())
     )
-    assert {row["image"] for row in table(found, joints)} == {"1.png"}
+    rows = table(found, joints)
+    assert [row["image"] for row in rows] == ["2.png", "1.png", "1.png", ""]
+    assert [row["j1 [deg]"] for row in rows] == ["2", "1", "1", "3"]
+    for row in (rows[0], rows[3]):
+        assert row["kind"] == "pixel"
+        assert not any(row[name] for name in ("corner", "u [px]", "v [px]", "sigma_image [px]"))
     matches = Matches((0, 1, None), ("", "", ""), ())
     assert [entry.reason for entry in with_rows_only(found, matches).pictures] == ["", "", "no_row"]
 
@@ -82,7 +87,7 @@ def test_cameras_are_groups(tmp_path: Path):
     named = with_cameras(files, match(joints, files))
     assert [file.camera for file in named] == ["wide", ""]
     found = detection(picture("1.png", view(), camera="wide"), picture("2.png", view(reason="cut")))
-    assert {row["group"] for row in table(found, joints)} == {"wide"}
+    assert [row["group"] for row in table(found, joints)] == ["wide", "wide", ""]
     found = detection(picture("1.png", view(), camera="wide"), picture("2.png", view()))
     with pytest.raises(MeasurementError, match=r"camera of the picture .2\.png."):
         table(found, joints)

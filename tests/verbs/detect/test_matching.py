@@ -31,6 +31,14 @@ def test_by_name_in_any_order(tmp_path: Path):
     assert matches.unmatched == (3,)
 
 
+@pytest.mark.parametrize("index", [None, "image"])
+def test_rows_without_a_name_are_poses_to_drive_by(tmp_path: Path, index: str | None):
+    joints = table(tmp_path, "image,j1 [deg]", [",5", "2,1", ",7", "3,9"], index)
+    matches = match(joints, images("2.png"))
+    assert matches.rows == (1,)
+    assert matches.unmatched == (3,)  # a name whose picture is missing
+
+
 def test_a_folder_in_the_table_counts(tmp_path: Path):
     joints = table(tmp_path, "image,j1 [deg]", ["left/1.png,1", "right\\1.png,2"])
     assert match(joints, images("x/right/1.png", "x/left/1.png")).rows == (1, 0)

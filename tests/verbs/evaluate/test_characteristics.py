@@ -88,6 +88,20 @@ def test_drift_is_the_change_since_the_first_ten(ur3: Robot, errors: np.ndarray)
         assert got.count == POSES
 
 
+def test_drift_follows_the_order_of_the_measurement(ur3: Robot, errors: np.ndarray, tmp_path):
+    m = table(ur3, errors)
+    m.write(tmp_path / "data.csv")
+    header, *rows = (tmp_path / "data.csv").read_text().splitlines()
+    in_file = np.random.default_rng(1).permutation(len(rows))
+    lines = [header.replace("row,", "order,"), *(rows[k] for k in in_file)]
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    expected, got = found(ur3, m), found(ur3, Measurements.read(tmp_path / "data.csv"))
+    for symbol in ("AD", "dAP", "dRP"):
+        assert got[symbol, "m"].largest == pytest.approx(expected[symbol, "m"].largest, rel=1e-9)
+    # Poses are called by their row in the file.
+    assert in_file[got["dAP", "m"].rows[0] - 1] + 1 == expected["dAP", "m"].rows[0]
+
+
 def test_approaches_are_compared_by_their_means(ur3: Robot, errors: np.ndarray):
     # A fourth direction with two rows, too few, and rows without one, have no part.
     words = ["x"] * 8 + ["y"] * 8 + ["z"] * 8 + ["w"] * 2 + [""] * 4
