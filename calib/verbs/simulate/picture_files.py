@@ -9,12 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from calib.basics.files import check_writable, csv_bytes, make_folder, write_atomically
 from calib.basics.jobs import Progress
 from calib.boards.board_file import board_toml
 from calib.boards.render import USUAL_SCENE, Scene, render, write_png
 from calib.camera.camera_file import camera_info_yaml
-from calib.data.columns import SETS
+from calib.data.columns import MOVE, SETS
 from calib.verbs.simulate.random_streams import stream
 from calib.verbs.simulate.scenario import Simulated
 
@@ -67,14 +69,18 @@ def write_pictures(
     pictures = simulated.pictures
     assert pictures is not None
     equipment = pictures.equipment
+    values, endings = pictures.readings, [""]
+    if pictures.moves is not None:
+        values, endings = np.hstack([values, pictures.moves]), ["", MOVE]
     headers = [
-        f"{joint.name} [m]" if joint.type == "prismatic" else f"{joint.name} [rad]"
+        f"{joint.name}{ending} [{'m' if joint.type == 'prismatic' else 'rad'}]"
+        for ending in endings
         for joint in simulated.truth.nominal.inputs
     ]
     has_sets = SETS[1] in pictures.sets
     rows: list[list[object]] = [["image", *headers, *(["set"] if has_sets else [])]]
-    for file_name, q, name in zip(pictures.images, pictures.readings, pictures.sets, strict=True):
-        rows.append([file_name, *q.tolist(), *([name] if has_sets else [])])
+    for file_name, numbers, name in zip(pictures.images, values, pictures.sets, strict=True):
+        rows.append([file_name, *numbers.tolist(), *([name] if has_sets else [])])
     contents = {
         JOINTS: csv_bytes(rows),
         BOARD: board_toml(equipment.printed.board).encode(),

@@ -406,7 +406,7 @@ class VirtualCell(Value):
             outliers=read_only(rows.outliers),
             moved=found_moved,
             seed=int(seed),
-            pictures=rows.pictures,
+            pictures=None if rows.pictures is None else replace(rows.pictures, moves=moves),
         )
 
 

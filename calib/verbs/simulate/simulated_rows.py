@@ -160,6 +160,8 @@ class Pictures(Value):
     pixels: Array
     #: Standard deviation of the noise of a coordinate [px].
     sigma: float
+    #: Last move of each joint before each picture, shape (P, m), [rad] or [m]; None: from the picture before.
+    moves: Array | None = None
 
     def __repr__(self) -> str:
         """Return one line: pictures and corners."""

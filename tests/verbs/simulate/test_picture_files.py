@@ -22,6 +22,7 @@ from calib.verbs.simulate.equipment import usual_camera
 from calib.verbs.simulate.picture_files import write_pictures
 from calib.verbs.simulate.scenario import Scenario, simulate
 from tests.boards.test_render import charuco_corners
+from tests.cli_fixtures import calib_here
 from tests.verbs.simulate.cells import BOARD
 
 
@@ -67,6 +68,26 @@ def test_joint_values_are_beside_the_names_of_the_pictures(simulated, pictures, 
         for row in rows
     ]
     np.testing.assert_array_equal(read, pictures.readings)
+
+
+def test_moves_before_the_pictures_are_beside_their_joint_values(monkeypatch, tmp_path):
+    """As `calib detect` copies them, and the fit reads them."""
+    robot = Robot.load("ur5", base="tool0", tip="base_link")
+    stated = Cell(kind="pixel", cameras={"": usual_camera()}, boards={"": BOARD})
+    cell = Scenario(robot, stated).draw(7)
+    moves = np.array([[0.1] * 6, [-0.1] * 6])
+    made = cell.measure(cell.poses(2, seed=1), moves=moves)
+    folder = tmp_path / "pictures"
+    write_pictures(made, folder)
+    boards = ("--board", str(folder / "board.toml"))
+    joints = ("--joints", str(folder / "joints.csv"))
+    words = ("detect", str(folder), *boards, *joints, "-o", "corners.csv")
+    assert calib_here(monkeypatch, tmp_path, *words) == 0
+    table = Measurements.read(tmp_path / "corners.csv", robot.joint_names, robot.joint_types)
+    of_first = np.array(table.images) == made.pictures.images[0]
+    assert 0 < of_first.sum() < len(table)
+    np.testing.assert_allclose(table.moves_for(robot.joint_names)[of_first], 0.1)
+    np.testing.assert_allclose(table.moves_for(robot.joint_names)[~of_first], -0.1)
 
 
 def test_board_and_camera_are_those_that_a_person_knows(pictures, folder):
