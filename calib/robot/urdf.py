@@ -86,7 +86,7 @@ class Urdf(Value):
         document = Document.from_bytes(data, source)
         joints, links = read_tree(document)
         name = document.root.attributes.get("name", "")
-        return cls(data, source, path, name, joints, links, document)
+        return cls(document.data, source, path, name, joints, links, document)
 
     @property
     def encoding(self) -> str:

@@ -26,6 +26,9 @@ _START_TAG = re.compile(rb"""<([^\s/>"']+)[^<>"']*(?:(?:"[^"]*"|'[^']*')[^<>"']*
 #: An attribute of a start tag: the space before it, its name, its value in quotes.
 _ATTRIBUTE = re.compile(rb"""(\s+)([^\s=<>"'/]+)\s*=\s*("[^"]*"|'[^']*')""")
 
+#: Blanks before an XML declaration, which XML does not allow there, and the declaration.
+_LATE_DECLARATION = re.compile(rb"\A(\s+)(<\?xml\s.*?\?>)", re.DOTALL)
+
 #: Characters that XML 1.0 does not allow anywhere.
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -70,7 +73,7 @@ class Comment:
 class Document:
     """The bytes of an XML file with its upper levels of elements."""
 
-    #: The file, byte for byte.
+    #: The file, byte for byte; blanks before its XML declaration stand after it.
     data: bytes
     #: Its name, for messages.
     source: str
@@ -85,6 +88,8 @@ class Document:
     def from_bytes(cls, data: bytes, source: str) -> Document:
         """Parse an XML file.
 
+        Blanks before its XML declaration, as generators leave them, are put after it: lines keep their numbers.
+
         Args:
             data: The file, byte for byte.
             source: Its name, for messages.
@@ -94,6 +99,7 @@ class Document:
         """
         if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
             raise UrdfError(f"{source} is in UTF-16 or UTF-32; save it as UTF-8")
+        data = _LATE_DECLARATION.sub(rb"\2\1", data)
         try:
             parser = expat.ParserCreate()
             scanner = _Scanner(data, source, parser)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.errors import UrdfError
 from calib.robot.meshes import link_shapes
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
@@ -96,6 +98,16 @@ def test_a_prefix_that_is_not_declared():
     robot = Robot.from_urdf(urdf)
     q = random_joint_values(robot, 2)
     check_written(robot, robot.poses(q), q, robot)
+
+
+def test_blanks_before_the_declaration_go_after_it():
+    """As XML wants it, and other lines keep their numbers."""
+    declaration, rest = '<?xml version="1.0"?>', PLAIN.removeprefix('<?xml version="1.0"?>')
+    late = Urdf.from_bytes(f"\n\r\n {declaration}{rest}".encode(), "r.urdf")
+    assert late.data == f"{declaration}\n\r\n {rest}".encode()
+    ElementTree.fromstring(late.data)
+    with pytest.raises(UrdfError, match="line 3"):
+        Urdf.from_bytes(f"\n{declaration}\n<robot".encode(), "r.urdf")
 
 
 # The verdict that a corrected URDF states
