@@ -217,7 +217,8 @@ class Scale:
     """Scale error s of the instrument, estimated jointly with the lengths of the arm.
 
     With the prior s ~ N(0, prior^2) that the instrument has, and what the rows say of it, N(share, std^2), it is normal
-    with the precision 1 / prior^2 + 1 / std^2; a share that contradicts the prior counts less. A fit that takes s as 0 is off by ``growth`` s.
+    with the precision 1 / prior^2 + 1 / std^2; a share that contradicts the prior counts less. A fit that takes s as 0
+    is off by ``growth`` s.
     """
 
     #: Share by which all measured lengths are too long

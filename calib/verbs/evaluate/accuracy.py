@@ -99,7 +99,7 @@ class PoseAccuracy(Value):
 class Accuracy:
     """Accuracy of a robot over the poses that it is judged by."""
 
-    #: The poses in the order of the table
+    #: The poses in the order of their first measurement
     poses: tuple[PoseAccuracy, ...]
     #: ``"all"``; ``"validation"``, the table's validation rows; or ``"fresh"``, others that nothing was fitted or
     #: registered to
