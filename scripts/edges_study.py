@@ -1,6 +1,6 @@
 """Verdicts of cells at the edges of what a verdict can know: the base has moved, the target is elsewhere, a gain errs.
 
-    python scripts/edges_study.py [SEEDS] [NAME ...]
+    python scripts/edges_study.py [SEEDS] [NAME ...] [--first SEED]
 
 Each case has typical errors of the geometry besides, and is measured with three arms at so many seeds. Printed are the
 held-out errors before and after, the verdict and its reasons, ``+`` where the first reason is one of the case's own.
@@ -195,8 +195,10 @@ def main() -> None:
     parser = study_parser(__doc__, parallel=True)
     parser.add_argument("seeds", type=int, nargs="?", default=1, metavar="SEEDS")
     parser.add_argument("names", nargs="*", metavar="NAME", help="cases; all of them by default")
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="first of the seeds")
     arguments = parser.parse_args()
-    jobs = list(product(arguments.names or EDGES, ARMS, range(arguments.seeds)))
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    jobs = list(product(arguments.names or EDGES, ARMS, seeds))
     printed, counted = tee(run_jobs(case_row, jobs, workers=arguments.workers, label="tables"))
     print_table(TITLES, printed, WIDTHS)
     used = sum(row[-1].startswith(f"{USE}:") for row in counted)

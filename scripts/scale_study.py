@@ -45,11 +45,15 @@ BETTER = 0.8
 #: The expected error covers the true one if that is no larger than so many times the expected error.
 COVERED = 1.0
 
+#: Standard uncertainty of a certified scale, a share: a bar of 1 m that is known to 0.1 mm.
+CERTIFICATE = 1e-4
+
 #: What the cell says of the scale, by name.
 SAID = {
     "nothing": lambda cell: cell,
     "tracker": lambda cell: replace(cell, instrument="tracker"),
-    "certified": lambda cell: replace(cell, scale_certified=True),
+    "certified": lambda cell: replace(cell, scale_certified=True, stated_scale_sigma=CERTIFICATE),
+    "exact": lambda cell: replace(cell, scale_certified=True),
 }
 
 TITLES = (

@@ -24,6 +24,9 @@ _ANOTHER_MEASUREMENT = 10.0
 #: 1 %.
 _OTHER_SHARE = ReadOnlyMapping({Why.FOCAL_LENGTH_OFF: 0.1, Why.BOARD_SCALE_OFF: 0.02})
 
+#: The corrections of an arm are not its own if the delay of joint values has more than this share of their effect.
+_LIKE_THE_ARM = 0.5
+
 #: A larger change of a parameter is not an error of an arm [m or rad].
 _TOO_FAR = 0.1
 
@@ -43,11 +46,11 @@ def judge(evidence: Evidence) -> Verdict:
     Returns:
         ``use``, ``use with care`` or ``do not use``, with the reasons: against it, for care, gains, what can be
         improved, information. If errors are such as no arm has, the input is wrong: ``do not use``, for that reason
-        alone.
+        alone, or joint values that are late before it.
     """
     before, after, validation = evidence.before, evidence.after, evidence.validation
 
-    # Errors that no arm has: the input must be wrong, and nothing else about such a fit means anything.
+    # Errors that no arm has: the input must be wrong, and little else about such a fit means anything.
     far = _is_absurd(before) and evidence.largest > _TOO_FAR
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
     absurd = [
@@ -58,7 +61,9 @@ def judge(evidence: Evidence) -> Verdict:
         *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
     ]
     if absurd:
-        return Verdict(NO, (absurd[0],))
+        # Joint values that are late may be the cause, which their effect on held-out rows shows.
+        late = [doubt for doubt in evidence.doubts if doubt.why is Why.JOINTS_LATE]
+        return Verdict(NO, (*late, absurd[0]))
 
     against = _against(evidence)
     care = _care(evidence, against)
@@ -219,6 +224,8 @@ def _role(doubt: Reason, evidence: Evidence) -> Role:
     why, values = doubt.why, doubt.values
     # A focal length or a board that is far off is another camera, resolution or board, or a square not measured.
     if why in _OTHER_SHARE and abs(float(values["share"])) > _OTHER_SHARE[why]:
+        return Role.WRONG_INPUT
+    if why is Why.JOINTS_LATE and values["over_arm"] > _LIKE_THE_ARM:
         return Role.WRONG_INPUT
     # A drift or a step that does not predict held-out rows explains nothing.
     if not values.get("falls", 1.0) >= PREDICTS:

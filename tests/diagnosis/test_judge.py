@@ -67,6 +67,11 @@ def _off(why: Why, share: float) -> Reason:
     return Reason.of(why, share=share, std=1e-3, exact=False)
 
 
+def _late(over_arm: float) -> Reason:
+    """Joint values that are late, with an effect of so many times that of the arm's corrections."""
+    return Reason.of(Why.JOINTS_LATE, of_step=0.1, over_arm=over_arm, falls=0.9)
+
+
 def drifting(falls: float) -> Reason:
     """A drift that explains so much of held-out blocks."""
     return Reason.of(Why.DRIFT, share=0.3, chance=0.05, p=1e-4, falls=falls)
@@ -117,6 +122,14 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"doubts": (_off(Why.BOARD_SCALE_OFF, -0.04),)}, "do not use", Why.BOARD_SCALE_OFF),
         ({"doubts": (_off(Why.FOCAL_LENGTH_OFF, 0.04),)}, "use with care", Why.FOCAL_LENGTH_OFF),
         ({"doubts": (_off(Why.FOCAL_LENGTH_OFF, -0.5),)}, "do not use", Why.FOCAL_LENGTH_OFF),
+        # Late joint values are said before errors that no arm has.
+        (
+            {"nominal": validated(0.3), "largest": 0.4, "doubts": (_late(0.6),)},
+            "do not use",
+            Why.JOINTS_LATE,
+        ),
+        ({"doubts": (_late(0.4),)}, "use with care", Why.JOINTS_LATE),
+        ({"doubts": (_late(0.6),)}, "do not use", Why.JOINTS_LATE),
         # A joint that stood still was not calibrated, whatever held-out rows say.
         ({"doubts": (STILL,)}, "use with care", Why.JOINTS_STILL),
         # Of seven poses even a proven gain may be chance.
