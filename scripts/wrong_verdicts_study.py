@@ -185,6 +185,8 @@ class Case:
     sizes: Mapping[str, float] = field(default_factory=dict)  # Of these, where not typical
     change: Change = unchanged
     noise: float = NOISE
+    stated: float | None = None  # Noise as the cell states it [m]
+    named: tuple[Why, ...] = ()  # Reasons that have to be among all
     validated: bool = False  # Each fourth row is for validation
     other: bool = False  # The URDF is that of another variant of the arm
     in_part: bool = False  # The rows tell of a part of the workspace
@@ -218,6 +220,12 @@ CASES = {
     ),
     "e another variant": Case(everywhere, (CARE,), (Why.OTHER_VARIANT,), other=True),
     "f sound, frame known": Case(everywhere, (USE,), SOUND, frame=False),
+    "g stated 125 times too large": Case(
+        everywhere, (USE,), SOUND, noise=4e-5, stated=5e-3, named=(Why.SIGMA_UNLIKELY,)
+    ),
+    "g stated 900 times too small": Case(
+        everywhere, (USE,), SOUND, stated=NOISE / 900.0, named=(Why.SIGMA_UNLIKELY,)
+    ),
     "h gross rows": Case(
         everywhere,
         UNSURE,
@@ -273,6 +281,8 @@ def row(name: str, arm: str, seed: int) -> list[str]:
         table = replace(table, sets=tuple(sets.tolist()))
     free = seed % 2 == 1 if case.frame is None else case.frame
     cell = Cell(estimate_frame=free, scale_certified=True)  # the virtual instrument is exact
+    if case.stated is not None:
+        cell = replace(cell, sigma={"m": case.stated})
     result = calibrate(given, table, cell=cell)
 
     places = (near, random_joint_values(robot, FRESH, 99))
@@ -305,7 +315,9 @@ def _is_right(
     before, after = over_limits
     if case.in_part and verdict.use == USE:
         return after < min(0.5 * before, 2.0 * said)
-    return verdict.use in case.right and verdict.reasons[0].why in case.reasons
+    every = {reason.why for reason in verdict.reasons}
+    is_first = verdict.reasons[0].why in case.reasons
+    return verdict.use in case.right and is_first and every.issuperset(case.named)
 
 
 def main() -> None:

@@ -24,6 +24,9 @@ _ANOTHER_MEASUREMENT = 10.0
 #: 1 %.
 _OTHER_SHARE = ReadOnlyMapping({Why.FOCAL_LENGTH_OFF: 0.1, Why.BOARD_SCALE_OFF: 0.02})
 
+#: What residuals are said to be if nothing explains them.
+_RESIDUAL_NOISE = (Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA)
+
 #: The corrections of an arm are not its own if the delay of joint values has more than this share of their effect.
 _LIKE_THE_ARM = 0.5
 
@@ -164,7 +167,14 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
     """
     usable = not against
     before, after, validation = evidence.before, evidence.after, evidence.validation
-    much_remains = not evidence.unproven and evidence.remains_held_out > REMAINS
+    given, others = _doubts(evidence, Role.GIVEN), _doubts(evidence, Role.CARE)
+
+    # What a larger model explains is neither chance nor noise: it remains.
+    explained = _has_better(evidence)
+    much_remains = evidence.remains_held_out > REMAINS and (explained or not evidence.unproven)
+    if explained:
+        much_remains |= any(reason.why in _RESIDUAL_NOISE for reason in others)
+        others = [reason for reason in others if reason.why not in _RESIDUAL_NOISE]
     may_be_chance = evidence.gain > 0.0 and evidence.unproven
     about_gain = _applicable(
         (usable and much_remains, _better(Why.MUCH_REMAINS, evidence)),
@@ -193,7 +203,6 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
         (many and not stated, _many_outliers(evidence)),
     )
 
-    given, others = _doubts(evidence, Role.GIVEN), _doubts(evidence, Role.CARE)
     return [*given, *about_gain, *others, *about_rows]
 
 

@@ -347,6 +347,29 @@ def test_much_remains_names_the_model_that_leaves_far_less():
     assert "model" not in reason.values
 
 
+@pytest.mark.parametrize("less", [1e-4, 1e-3])
+def test_what_another_model_explains_is_neither_noise_nor_chance(less):
+    """Two sorts of tables: most of the error falls, and it falls by next to nothing; explained by far, or not by far."""
+    explained = less < 1e-3
+    other = ("dh+gain", errors(less))
+    falls = replace(GOOD, calibrated=validated(0.9e-3, 1), doubts=(LOUD,), non_geometric=other)
+    found = judge(falls)
+    assert found.use == "use with care"
+    assert codes(found)[0] is (Why.MUCH_REMAINS if explained else Why.NOISE_LARGE)
+    assert (Why.NOISE_LARGE in codes(found)) is not explained
+
+    hardly = replace(
+        GOOD,
+        nominal=validated(1.01e-3, 2),
+        calibrated=validated(1e-3, 1),
+        validation=on_validation(2.7e-3, 2e-3),
+        non_geometric=other,
+    )
+    found = judge(hardly)
+    assert (found.use, Why.MAY_BE_CHANCE in codes(found)) == ("use with care", True)
+    assert codes(found)[0] is (Why.MUCH_REMAINS if explained else Why.MAY_BE_CHANCE)
+
+
 def test_a_scale_is_named_where_too_much_would_remain_by_it_alone():
     for by_scale, use in ((0.9e-3, "use"), (1.1e-3, "use with care")):
         expected = float(np.hypot(0.2e-3, by_scale))
