@@ -22,8 +22,8 @@ from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, di
 from calib.fit.estimate.fitting import Fitted
 from calib.numerics.errors import rms
 
-#: Joints that lag behind, each by its own share, are not late: with one share for all of them the effect is the same
-#: but for this share of it, which is a quarter of its square.
+#: Joints that lag, each by its own share, are not late, nor is what another error of each joint makes up. With one
+#: share for all joints the effect differs by less than this part of it, a quarter of its square.
 _ALIKE = 0.5
 
 
@@ -67,14 +67,16 @@ def late_joints(fitted: Fitted, q: Array, rows: Integers) -> Iterator[Reason]:
 
     by_one = of_all @ one.b
     by_each = each @ estimate_jointly(fitted, each).b
-    effect, difference = (rms((by / scales)[used]) for by in (by_one, by_each - by_one))
+    of_robot = fitted.kinematics.model.of_robot
+    by_arm = problem.prediction_jacobian(estimate.x)[:, :, of_robot] @ one.x[of_robot]
+    effect, difference, of_arm = (
+        rms((by / scales)[used]) for by in (by_one, by_each - by_one, by_arm)
+    )
     if difference >= _ALIKE * effect:
         return
 
     falls = gain_on_blocks(fitted, of_all, estimate.weights)
     if falls >= PREDICTS:
-        of_robot = fitted.kinematics.model.of_robot
-        by_arm = problem.prediction_jacobian(estimate.x)[:, :, of_robot] @ one.x[of_robot]
-        over_arm = effect / max(rms((by_arm / scales)[used]), np.finfo(float).tiny)
         share = float(one.b[0])
+        over_arm = effect / max(of_arm, np.finfo(float).tiny)
         yield Reason.of(Why.JOINTS_LATE, of_step=share, over_arm=over_arm, falls=falls)

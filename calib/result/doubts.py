@@ -71,7 +71,9 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     geometry, of_geometry = thin(result.fit.geometry)
     yield from late_joints(geometry, q, np.flatnonzero(m.estimation)[of_geometry])
     yield from computed_measurements(fitted)
-    yield from other_variant(result.nominal, result.robot)
+    # Errors that a larger model explains move no lengths in it.
+    corrected = fitted.kinematics.model.apply(result.nominal, fitted.estimate.x)
+    yield from other_variant(result.nominal, corrected)
 
     few, chosen = thin(fitted)
     scale = (result.non_geometric or result.geometry).scale

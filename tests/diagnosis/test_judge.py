@@ -349,7 +349,7 @@ def test_much_remains_names_the_model_that_leaves_far_less():
 
 @pytest.mark.parametrize("less", [1e-4, 1e-3])
 def test_what_another_model_explains_is_neither_noise_nor_chance(less):
-    """Two sorts of tables: most of the error falls, and it falls by next to nothing; explained by far, or not by far."""
+    """Of two tables: most of the error falls, or next to nothing does. The other model is far better, or not."""
     explained = less < 1e-3
     other = ("dh+gain", errors(less))
     falls = replace(GOOD, calibrated=validated(0.9e-3, 1), doubts=(LOUD,), non_geometric=other)
