@@ -47,9 +47,9 @@ def judge(evidence: Evidence) -> Verdict:
         evidence: The figures of the corrected URDF, or of the non-geometric model.
 
     Returns:
-        ``use``, ``use with care`` or ``do not use``, with the reasons: against it, for care, gains, what can be
-        improved, information. If errors are such as no arm has, the input is wrong: ``do not use``, for that reason
-        alone, or joint values that are late before it.
+        ``use``, ``use with care`` or ``do not use``, with the reasons: wrong input, rows that no other can check, others
+        against it, for care, gains, what can be improved, information. If errors are such as no arm has, the input is
+        wrong: ``do not use``, for that reason alone, or joint values that are late before it.
     """
     before, after, validation = evidence.before, evidence.after, evidence.validation
 
@@ -101,9 +101,14 @@ def judge(evidence: Evidence) -> Verdict:
         (evidence.gain > 0.0, Reason.of(Why.GAIN, **held_out)),
         (gained, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
     )
+    # Held-out errors hang on a row that alone determines an error of the arm: no other row can predict it.
+    hanging = [reason for reason in against if reason.why.role is Role.AGAINST]
+    wrong_input = [reason for reason in against if reason not in hanging]
+    alone = [reason for reason in care if reason.why is Why.SOLE_POSTURE]
+    care = [reason for reason in care if reason not in alone]
     information = _doubts(evidence, Role.INFORMATION)
-    reasons = (*against, *care, *gains, *improvements, *information, *evidence.notes)
-    return Verdict(use, reasons)
+    others = (*gains, *improvements, *information, *evidence.notes)
+    return Verdict(use, (*wrong_input, *alone, *hanging, *care, *others))
 
 
 def absurd_noise(noise: Mapping[str, float]) -> list[Reason]:

@@ -347,6 +347,26 @@ def test_much_remains_names_the_model_that_leaves_far_less():
     assert "model" not in reason.values
 
 
+def test_a_row_that_no_other_can_check_is_said_before_what_hangs_on_it():
+    """That is all but wrong input; the word is that of the other reasons."""
+    alone = Reason.of(Why.SOLE_POSTURE, rows=[30], joints=["elbow_joint"])
+    for change, use, first in (
+        ({"doubts": (FAR, alone)}, "use with care", [Why.SOLE_POSTURE, Why.TARGET_FAR]),
+        (
+            {"doubts": (alone,), "calibrated": validated(2.9e-3, 1)},
+            "do not use",
+            [Why.SOLE_POSTURE, Why.NO_BETTER],
+        ),
+        (
+            {"doubts": (alone, _off(Why.BOARD_SCALE_OFF, -0.04))},
+            "do not use",
+            [Why.BOARD_SCALE_OFF, Why.SOLE_POSTURE],
+        ),
+    ):
+        found = judge(replace(GOOD, **change))
+        assert (found.use, codes(found)[:2]) == (use, first)
+
+
 @pytest.mark.parametrize("less", [1e-4, 1e-3])
 def test_what_another_model_explains_is_neither_noise_nor_chance(less):
     """Of two tables: most of the error falls, or next to nothing does. The other model is far better, or not."""
