@@ -165,9 +165,9 @@ def rounded(points: Array, _directions: Array) -> Array:
     return np.asarray(1e-5 * np.round(points / 1e-5))
 
 
-# What comes first has to be true, and tell what to do. In a part of the workspace that is what the rows do not tell; and,
-# where the frame is known, a base that stands elsewhere, which there is the same as the eccentricity of the first joint.
-# Where the errors near are those of the noise, the nominal URDF is as good.
+# What comes first has to be true, and tell what to do. In a part of the workspace that is what the rows do not tell;
+# and, where the frame is known, a base that stands elsewhere: there the first joint's eccentricity is the same. Where
+# the errors near are those of the noise, the nominal URDF is as good.
 VALIDATION = slice(3, None, 4)
 SMALL = {"length": 1e-4, "angle": 3e-4, "zero": 5e-4}
 ECCENTRIC = {**SMALL, "eccentricity": 2e-3}

@@ -47,9 +47,9 @@ def judge(evidence: Evidence) -> Verdict:
         evidence: The figures of the corrected URDF, or of the non-geometric model.
 
     Returns:
-        ``use``, ``use with care`` or ``do not use``, with the reasons: wrong input, rows that no other can check, others
-        against it, for care, gains, what can be improved, information. If errors are such as no arm has, the input is
-        wrong: ``do not use``, for that reason alone, or joint values that are late before it.
+        ``use``, ``use with care`` or ``do not use``, with the reasons: wrong input, rows that no other can check,
+        others against it, for care, gains, what can be improved, information. If errors are such as no arm has, the
+        input is wrong: ``do not use``, for that reason alone, or joint values that are late before it.
     """
     before, after, validation = evidence.before, evidence.after, evidence.validation
 
