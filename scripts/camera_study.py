@@ -4,6 +4,7 @@
     python scripts/camera_study.py bound so101 gripper_link base_link --cheap --runs 100
     python scripts/camera_study.py starts --runs 300
     python scripts/camera_study.py pictures ur5 tool0 base_link --runs 20
+    python scripts/camera_study.py prints --runs 5 --share 0.006
 
 ``bound``: virtual cells of 40 pictures, of which only the image's size is known of the camera; 0.3 px. Errors of the
 robot, of the print and of the lens are drawn from what the fit takes for their priors, and predictions are judged at 40
@@ -11,7 +12,9 @@ fresh poses. The bound is that of a fit that knows noise and prior standard devi
 a poor lens by a servo arm: joints stop anywhere within steps of 0.1 deg, and zeros are 2 deg off. ``starts``: cells of
 15 pictures without a guess of mount or board, half of them of unknown intrinsics, against a fit that starts at the true
 places. ``pictures``: where the board's middle is predicted in the camera at fresh poses, by the number of pictures,
-with the intrinsics of the maker, and by hand-eye calibration alone.
+with the intrinsics of the maker, and by hand-eye calibration alone. ``prints``: verdicts where the board's file states
+its print a share too large, with the true errors of both URDFs over the joint limits, without noise and with frame and
+target registered to them, beside the expected one.
 """
 
 from __future__ import annotations
@@ -20,9 +23,11 @@ import argparse
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import count, islice
+from itertools import count, islice, product
 
 import numpy as np
+from studies import verdict_of, verdict_text
+from verdict_study import urdf_error
 
 from calib.basics.arrays import Array, read_only
 from calib.boards.board import Board
@@ -30,6 +35,7 @@ from calib.camera.camera import Camera
 from calib.camera.optics import CORNER, INTRINSICS
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import USE
 from calib.errors import CalibError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.prior_terms import PriorTerms
@@ -39,6 +45,7 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
+from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from calib.verbs.simulate.disturbances import Encoder
 from calib.verbs.simulate.scenario import Scenario, Simulated, VirtualCell
@@ -73,6 +80,9 @@ MODEL = "dh"
 
 #: Numbers of pictures that are compared.
 NUMBERS = (10, 15, 20, 30, 40, 60)
+
+#: Robots whose boards are stated too large, with the links that carry camera and board.
+OF_PRINTS = (ARMS[0], ARMS[2], ("ur10", "tool0", "base_link"))
 
 #: Step of differences [rad].
 STEP = 1e-6
@@ -119,13 +129,18 @@ class Figures:
 
 
 def draw(
-    name: str, camera_on: str, board_on: str, seed: int, setting: Setting = USUAL
+    name: str,
+    camera_on: str,
+    board_on: str,
+    seed: int,
+    setting: Setting = USUAL,
+    board: Board = BOARD,
 ) -> VirtualCell:
-    """Draw a virtual cell."""
+    """Draw a virtual cell, its print about a board."""
     robot = Robot.load(name, base=camera_on, tip=board_on)
     scenario = Scenario(
         robot,
-        Cell(kind="pixel", cameras={"": setting.camera}, boards={"": BOARD}),
+        Cell(kind="pixel", cameras={"": setting.camera}, boards={"": board}),
         model=MODEL,
         noise=None,
         sigma={"px": NOISE},
@@ -275,6 +290,28 @@ def run_pictures(arguments: argparse.Namespace) -> Iterator[str]:
         yield f"  {model}, {pictures} pictures: {np.median(errors):.3f}, {np.max(errors):.3f}"
 
 
+def run_prints(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield a line for each cell of the fourth study."""
+    size = 1.0 + arguments.share
+    smaller = replace(
+        BOARD, square=BOARD.square / size, marker=BOARD.marker / size, sigma_scale=0.0
+    )
+    known = Cell(model=MODEL, cameras={"": SIZE_ALONE}, boards={"": BOARD})
+    free, used = Cell(estimate_frame=True), 0
+    for arm, seed in product(OF_PRINTS, range(arguments.first, arguments.first + arguments.runs)):
+        cell = draw(*arm, seed, board=smaller)
+        m = table_of(cell.measure(cell.poses(USUAL.pictures, seed), seed))
+        result = calibrate(cell.truth.nominal, m, cell=known)
+        used += verdict_of(result).use == USE
+        before, after = (
+            1e3 * urdf_error(robot, cell.truth, free)
+            for robot in (cell.truth.nominal, result.robot)
+        )
+        yield f"{arm[0]} {seed}: {verdict_text(result)}"
+        yield f"  {before:.2f} -> {after:.2f} mm, said {1e3 * result.new_point[1]:.2f}"
+    yield f"{used} of {len(OF_PRINTS) * arguments.runs} are {USE}"
+
+
 def figures_of(arm: tuple[str, str, str], setting: Setting) -> Iterator[Figures]:
     """Yield the figures of one cell after the other; a seed of which no cell comes is left out."""
     for seed in count():
@@ -328,6 +365,13 @@ def main() -> None:
         pictures.add_argument(name)
     pictures.add_argument("--runs", type=int, default=20)
     pictures.set_defaults(run=run_pictures)
+    prints = studies.add_parser("prints")
+    prints.add_argument("--runs", type=int, default=5, help="of each arm")
+    prints.add_argument("--first", type=int, default=0, help="first seed")
+    prints.add_argument(
+        "--share", type=float, default=0.006, help="stated over actual size, less 1"
+    )
+    prints.set_defaults(run=run_prints)
     arguments = parser.parse_args()
     for line in arguments.run(arguments):
         print(line, flush=True)

@@ -2,10 +2,13 @@
 
     python scripts/scale_study.py 20 [FIRST]
     python scripts/scale_study.py 20 --said tracker
+    python scripts/scale_study.py 20 --said certified
 
 All measured positions are a share too long. The corrected URDF is evaluated at 1,000 other poses over the joint limits
 without noise and without the scale error, with the target registered to them, and the frame where it is unknown. The
-expected error is that over the joint limits, as the verdict has it.
+expected error is that over the joint limits, as the verdict has it. With ``certified`` the cell states the scale with
+its uncertainty, 0.01 %: up to that, verdicts and errors are those of an ``exact`` instrument, whose scale error is 0; a
+scale error far beyond it contradicts what is stated, and has to be told where rows can tell it from lengths of the arm.
 """
 
 from __future__ import annotations
@@ -31,7 +34,10 @@ from calib.verbs.simulate.truth import draw_truth
 ARMS = ("ur3", "ur10e", "panda")
 
 #: Scale errors of the instrument, as shares.
-SCALES = (0.0, 2e-5, 5e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2)
+SCALES = (0.0, 2e-5, 1e-4, 5e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2)
+
+#: Reasons that tell of the scale.
+OF_SCALE = {"lengths_scaled", "scale_hidden"}
 
 #: Points of a table.
 COUNT = 40
@@ -45,11 +51,15 @@ BETTER = 0.8
 #: The expected error covers the true one if that is no larger than so many times the expected error.
 COVERED = 1.0
 
+#: Standard uncertainty of a certified scale, a share: a bar of 1 m that is known to 0.1 mm.
+CERTIFICATE = 1e-4
+
 #: What the cell says of the scale, by name.
 SAID = {
     "nothing": lambda cell: cell,
     "tracker": lambda cell: replace(cell, instrument="tracker"),
-    "certified": lambda cell: replace(cell, scale_certified=True),
+    "certified": lambda cell: replace(cell, scale_certified=True, stated_scale_sigma=CERTIFICATE),
+    "exact": lambda cell: replace(cell, scale_certified=True),
 }
 
 TITLES = (
@@ -59,6 +69,7 @@ TITLES = (
     CARE,
     NO,
     "wrong use",
+    "told",
     "nominal [mm]",
     "true [mm]",
     "expected [mm]",
@@ -80,6 +91,11 @@ class Outcome:
     def is_wrong(self) -> bool:
         """True if the verdict is `use` and the corrected URDF is not better by a fifth."""
         return self.use == USE and self.corrected > BETTER * self.nominal
+
+    @property
+    def is_told(self) -> bool:
+        """True if the verdict tells of the scale."""
+        return bool(OF_SCALE & {*self.codes})
 
     @property
     def is_covered(self) -> bool:
@@ -131,6 +147,7 @@ def case_row(scale: float, free: bool, outcomes: Sequence[Outcome]) -> list[str]
         "estimated" if free else "known",
         *(str(uses.count(use)) for use in (USE, CARE, NO)),
         str(sum(outcome.is_wrong for outcome in outcomes)),
+        str(sum(outcome.is_told for outcome in outcomes)),
         *means,
         f"{100.0 * np.mean([outcome.is_covered for outcome in outcomes]):.0f} %",
     ]

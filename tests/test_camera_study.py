@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 
 import numpy as np
@@ -10,21 +9,14 @@ import pytest
 
 from tests.places import ROOT
 
-SCRIPT = ROOT / "scripts" / "camera_study.py"
+sys.path.insert(0, str(ROOT / "scripts"))
 
-
-def study():
-    spec = importlib.util.spec_from_file_location("camera_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["camera_study"] = module
-    spec.loader.exec_module(module)
-    return module
+import camera_study as study
 
 
 @pytest.mark.slow
 def test_predictions_are_as_good_as_they_can_be_and_as_stated():
-    module = study()
-    figures = [module.against_the_bound(*arm, seed) for seed in range(2) for arm in module.ARMS]
+    figures = [study.against_the_bound(*arm, seed) for seed in range(2) for arm in study.ARMS]
     error, bound, stated = (
         sum(getattr(f, name) for f in figures) for name in ("error", "bound", "stated")
     )
@@ -36,9 +28,8 @@ def test_predictions_are_as_good_as_they_can_be_and_as_stated():
 
 @pytest.mark.slow
 def test_servo_steps_and_few_pictures_cost_little_more():
-    module = study()
     figures = [
-        module.against_the_bound("ur5", "tool0", "base_link", seed, module.CHEAP)
+        study.against_the_bound("ur5", "tool0", "base_link", seed, study.CHEAP)
         for seed in range(12)
     ]
     error, bound, stated = (
@@ -51,6 +42,5 @@ def test_servo_steps_and_few_pictures_cost_little_more():
 
 @pytest.mark.slow
 def test_cells_without_a_guess_reach_the_minimum_of_the_truth():
-    module = study()
-    ratios = [module.start_ratio(arm, 7 + k, known=k % 2 == 0) for k, arm in enumerate(module.ARMS)]
-    assert max(ratios) < module.SAME
+    ratios = [study.start_ratio(arm, 7 + k, known=k % 2 == 0) for k, arm in enumerate(study.ARMS)]
+    assert max(ratios) < study.SAME

@@ -24,6 +24,12 @@ _ANOTHER_MEASUREMENT = 10.0
 #: 1 %.
 _OTHER_SHARE = ReadOnlyMapping({Why.FOCAL_LENGTH_OFF: 0.1, Why.BOARD_SCALE_OFF: 0.02})
 
+#: What residuals are said to be if nothing explains them.
+_RESIDUAL_NOISE = (Why.NOISE_LARGE, Why.NOISE_ABOVE_SIGMA)
+
+#: The corrections of an arm are not its own if the delay of joint values has more than this share of their effect.
+_LIKE_THE_ARM = 0.5
+
 #: A larger change of a parameter is not an error of an arm [m or rad].
 _TOO_FAR = 0.1
 
@@ -41,13 +47,13 @@ def judge(evidence: Evidence) -> Verdict:
         evidence: The figures of the corrected URDF, or of the non-geometric model.
 
     Returns:
-        ``use``, ``use with care`` or ``do not use``, with the reasons: against it, for care, gains, what can be
-        improved, information. If errors are such as no arm has, the input is wrong: ``do not use``, for that reason
-        alone.
+        ``use``, ``use with care`` or ``do not use``, with the reasons: wrong input, rows that no other can check,
+        others against it, for care, gains, what can be improved, information. If errors are such as no arm has, the
+        input is wrong: ``do not use``, for that reason alone, or joint values that are late before it.
     """
     before, after, validation = evidence.before, evidence.after, evidence.validation
 
-    # Errors that no arm has: the input must be wrong, and nothing else about such a fit means anything.
+    # Errors that no arm has: the input must be wrong, and little else about such a fit means anything.
     far = _is_absurd(before) and evidence.largest > _TOO_FAR
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
     absurd = [
@@ -58,7 +64,9 @@ def judge(evidence: Evidence) -> Verdict:
         *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
     ]
     if absurd:
-        return Verdict(NO, (absurd[0],))
+        # Joint values that are late may be the cause, which their effect on held-out rows shows.
+        late = [doubt for doubt in evidence.doubts if doubt.why is Why.JOINTS_LATE]
+        return Verdict(NO, (*late, absurd[0]))
 
     against = _against(evidence)
     care = _care(evidence, against)
@@ -93,9 +101,14 @@ def judge(evidence: Evidence) -> Verdict:
         (evidence.gain > 0.0, Reason.of(Why.GAIN, **held_out)),
         (gained, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
     )
+    # Held-out errors hang on a row that alone determines an error of the arm: no other row can predict it.
+    hanging = [reason for reason in against if reason.why.role is Role.AGAINST]
+    wrong_input = [reason for reason in against if reason not in hanging]
+    alone = [reason for reason in care if reason.why is Why.SOLE_POSTURE]
+    care = [reason for reason in care if reason not in alone]
     information = _doubts(evidence, Role.INFORMATION)
-    reasons = (*against, *care, *gains, *improvements, *information, *evidence.notes)
-    return Verdict(use, reasons)
+    others = (*gains, *improvements, *information, *evidence.notes)
+    return Verdict(use, (*wrong_input, *alone, *hanging, *care, *others))
 
 
 def absurd_noise(noise: Mapping[str, float]) -> list[Reason]:
@@ -159,7 +172,14 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
     """
     usable = not against
     before, after, validation = evidence.before, evidence.after, evidence.validation
-    much_remains = not evidence.unproven and evidence.remains_held_out > REMAINS
+    given, others = _doubts(evidence, Role.GIVEN), _doubts(evidence, Role.CARE)
+
+    # What a larger model explains is neither chance nor noise: it remains.
+    explained = _has_better(evidence)
+    much_remains = evidence.remains_held_out > REMAINS and (explained or not evidence.unproven)
+    if explained:
+        much_remains |= any(reason.why in _RESIDUAL_NOISE for reason in others)
+        others = [reason for reason in others if reason.why not in _RESIDUAL_NOISE]
     may_be_chance = evidence.gain > 0.0 and evidence.unproven
     about_gain = _applicable(
         (usable and much_remains, _better(Why.MUCH_REMAINS, evidence)),
@@ -188,7 +208,6 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
         (many and not stated, _many_outliers(evidence)),
     )
 
-    given, others = _doubts(evidence, Role.GIVEN), _doubts(evidence, Role.CARE)
     return [*given, *about_gain, *others, *about_rows]
 
 
@@ -219,6 +238,8 @@ def _role(doubt: Reason, evidence: Evidence) -> Role:
     why, values = doubt.why, doubt.values
     # A focal length or a board that is far off is another camera, resolution or board, or a square not measured.
     if why in _OTHER_SHARE and abs(float(values["share"])) > _OTHER_SHARE[why]:
+        return Role.WRONG_INPUT
+    if why is Why.JOINTS_LATE and values["over_arm"] > _LIKE_THE_ARM:
         return Role.WRONG_INPUT
     # A drift or a step that does not predict held-out rows explains nothing.
     if not values.get("falls", 1.0) >= PREDICTS:

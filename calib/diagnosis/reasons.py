@@ -120,6 +120,7 @@ class Why(str, Enum):
 
     # Given values are in doubt
     TARGET_FAR = "target_far", Role.GIVEN
+    JOINTS_LATE = "joints_late", Role.GIVEN
     MEASUREMENTS_COMPUTED = "measurements_computed", Role.GIVEN
     OTHER_VARIANT = "other_variant", Role.GIVEN
     BASE_MOVED = "base_moved", Role.GIVEN

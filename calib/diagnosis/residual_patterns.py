@@ -92,13 +92,7 @@ class Residuals:
         """
         problem, x, rows = fitted.estimate.problem, fitted.estimate.x, fitted.estimate.problem.rows
 
-        # The nominal robot with frames and targets at the solution.
-        robot, setup = fitted.task.robot, fitted.estimated_setup()
-        names = fitted.setup.target_names
-        frames = dict.fromkeys(fitted.setup.frame_unknowns, ())
-        model = error_model(robot, "zeros", frame=frames, target=names, targets=names)
-        nominal = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-        columns = rows.derivative(nominal.linearised(np.zeros(len(model)), rows.samples))
+        model, columns = displacements_of(fitted)
 
         weights = np.where(_flagged_from_some_row_on(fitted), 1.0, fitted.estimate.weights)
         counts = rows.used & (weights > 0.0)[:, None]
@@ -183,6 +177,24 @@ class Residuals:
         directions = [self.along(joint) for joint in joints]
         patterns = joint_patterns(stack, self.values[:, joints], slides, directions)
         return [(joints[k], explained, Z) for k, explained, Z in patterns]
+
+
+def displacements_of(fitted: Fitted) -> tuple[ErrorModel, Array]:
+    """Differentiate the predicted scalars of a fit by zeros of the joints and places of the targets.
+
+    Args:
+        fitted: A fit to N rows of D scalars.
+
+    Returns:
+        The model of these p displacements, and the derivatives, shape (N, D, p), in the units of the rows' channels: of
+        the nominal robot, with frames and targets at the solution.
+    """
+    rows, robot, setup = fitted.estimate.problem.rows, fitted.task.robot, fitted.estimated_setup()
+    names = fitted.setup.target_names
+    frames = dict.fromkeys(fitted.setup.frame_unknowns, ())
+    model = error_model(robot, "zeros", frame=frames, target=names, targets=names)
+    nominal = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
+    return model, rows.derivative(nominal.linearised(np.zeros(len(model)), rows.samples))
 
 
 def _whiten(fitted: Fitted, values: Array, weights: Array) -> Array:

@@ -113,9 +113,12 @@ def calibrate(
 def _found_drift(result: Calibration) -> Array | None:
     """Return the drift of the measured positions from the first fitted row to the last, (3,) [m], in their frame.
 
-    None if there is none that predicts held-out rows, and whose vector can be told (`residual_patterns`).
+    None if there is none that predicts held-out rows, and whose vector can be told (`residual_patterns`); or if joint
+    values are late, which along a path looks like a drift.
     """
     assert result.verdict is not None
+    if any(reason.why is Why.JOINTS_LATE for reason in result.verdict.reasons):
+        return None
     for reason in result.verdict.reasons:
         values = reason.values
         if reason.why is Why.DRIFT and "drift_xyz" in values and values["falls"] >= PREDICTS:

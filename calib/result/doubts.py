@@ -12,6 +12,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.computed import computed_measurements
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
+from calib.diagnosis.late_joints import late_joints
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
@@ -67,12 +68,17 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
             if distance > _ELSEWHERE:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
+    q = m.joints_for(result.nominal.joint_names)
+    geometry, of_geometry = thin(result.fit.geometry)
+    yield from late_joints(geometry, q, np.flatnonzero(m.estimation)[of_geometry])
     yield from computed_measurements(fitted)
-    intervals = partial(length_intervals, result.fit.geometry, result.geometry.scale)
-    yield from other_variant(result.nominal, result.robot, intervals)
+    # Errors that a larger model explains move no lengths in it.
+    scale = (result.non_geometric or result.geometry).scale
+    corrected = fitted.kinematics.model.apply(result.nominal, fitted.estimate.x)
+    intervals = partial(length_intervals, fitted, scale)
+    yield from other_variant(result.nominal, corrected, intervals)
 
     few, chosen = thin(fitted)
-    scale = (result.non_geometric or result.geometry).scale
     yield from contradicted_values(few, scale, frame_aligned=cell.frame_aligned)
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))

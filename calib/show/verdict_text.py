@@ -149,6 +149,8 @@ SENTENCES = {
     "({change}{with_noise}).{better}",
     Why.VALIDATION_SMALL_GAIN: "On the {rows} validation rows{rows_aside} the error hardly falls: "
     "{change}.",
+    Why.JOINTS_LATE: "The arm was moving, and the joint values {lag_behind} the measurements by {of_step_abs} % of "
+    f"the time from one row to the next. {_FALLS} Measure at standstill, or read both at the same time.",
     Why.JOINTS_LAG: f"{_NOT_NOISE}they follow the last move of the joints, which {_SHARE}: the "
     "joints stop short by about {of_move:%.2f} % of that move, '{joint}' most. "
     f"{_FALLS} Measure at standstill, and read the joint values then; if the gears have backlash, "
@@ -384,6 +386,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
             "Was it knocked or remounted? Give those rows a new target name (column 'target')."
         )
         warmed = "Did something warm up, or move?"
+    of_step = values.get("of_step", 0.0)
     words = {
         "before": f"{listed(before)} rms",
         "after": f"{listed(after)} rms",
@@ -398,6 +401,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "explained": _percent(values.get("share", 0.0)),
         "chance_explains": _percent(values.get("chance", 0.0)),
         "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
+        "lag_behind": "lag behind" if of_step > 0.0 else "are ahead of",
+        "of_step_abs": f"{100.0 * abs(of_step):.1f}",
         "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",
         "knocked": knocked,
         "warmed": warmed,

@@ -67,6 +67,11 @@ def _off(why: Why, share: float) -> Reason:
     return Reason.of(why, share=share, std=1e-3, exact=False)
 
 
+def _late(over_arm: float) -> Reason:
+    """Joint values that are late, with an effect of so many times that of the arm's corrections."""
+    return Reason.of(Why.JOINTS_LATE, of_step=0.1, over_arm=over_arm, falls=0.9)
+
+
 def drifting(falls: float) -> Reason:
     """A drift that explains so much of held-out blocks."""
     return Reason.of(Why.DRIFT, share=0.3, chance=0.05, p=1e-4, falls=falls)
@@ -117,6 +122,14 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"doubts": (_off(Why.BOARD_SCALE_OFF, -0.04),)}, "do not use", Why.BOARD_SCALE_OFF),
         ({"doubts": (_off(Why.FOCAL_LENGTH_OFF, 0.04),)}, "use with care", Why.FOCAL_LENGTH_OFF),
         ({"doubts": (_off(Why.FOCAL_LENGTH_OFF, -0.5),)}, "do not use", Why.FOCAL_LENGTH_OFF),
+        # Late joint values are said before errors that no arm has.
+        (
+            {"nominal": validated(0.3), "largest": 0.4, "doubts": (_late(0.6),)},
+            "do not use",
+            Why.JOINTS_LATE,
+        ),
+        ({"doubts": (_late(0.4),)}, "use with care", Why.JOINTS_LATE),
+        ({"doubts": (_late(0.6),)}, "do not use", Why.JOINTS_LATE),
         # A joint that stood still was not calibrated, whatever held-out rows say.
         ({"doubts": (STILL,)}, "use with care", Why.JOINTS_STILL),
         # Of seven poses even a proven gain may be chance.
@@ -332,6 +345,49 @@ def test_much_remains_names_the_model_that_leaves_far_less():
         replace(GOOD, calibrated=validated(1.1e-3, 1), non_geometric=("dh+gain", errors(1e-3)))
     ).reasons
     assert "model" not in reason.values
+
+
+def test_a_row_that_no_other_can_check_is_said_before_what_hangs_on_it():
+    """That is all but wrong input; the word is that of the other reasons."""
+    alone = Reason.of(Why.SOLE_POSTURE, rows=[30], joints=["elbow_joint"])
+    for change, use, first in (
+        ({"doubts": (FAR, alone)}, "use with care", [Why.SOLE_POSTURE, Why.TARGET_FAR]),
+        (
+            {"doubts": (alone,), "calibrated": validated(2.9e-3, 1)},
+            "do not use",
+            [Why.SOLE_POSTURE, Why.NO_BETTER],
+        ),
+        (
+            {"doubts": (alone, _off(Why.BOARD_SCALE_OFF, -0.04))},
+            "do not use",
+            [Why.BOARD_SCALE_OFF, Why.SOLE_POSTURE],
+        ),
+    ):
+        found = judge(replace(GOOD, **change))
+        assert (found.use, codes(found)[:2]) == (use, first)
+
+
+@pytest.mark.parametrize("less", [1e-4, 1e-3])
+def test_what_another_model_explains_is_neither_noise_nor_chance(less):
+    """Of two tables: most of the error falls, or next to nothing does. The other model is far better, or not."""
+    explained = less < 1e-3
+    other = ("dh+gain", errors(less))
+    falls = replace(GOOD, calibrated=validated(0.9e-3, 1), doubts=(LOUD,), non_geometric=other)
+    found = judge(falls)
+    assert found.use == "use with care"
+    assert codes(found)[0] is (Why.MUCH_REMAINS if explained else Why.NOISE_LARGE)
+    assert (Why.NOISE_LARGE in codes(found)) is not explained
+
+    hardly = replace(
+        GOOD,
+        nominal=validated(1.01e-3, 2),
+        calibrated=validated(1e-3, 1),
+        validation=on_validation(2.7e-3, 2e-3),
+        non_geometric=other,
+    )
+    found = judge(hardly)
+    assert (found.use, Why.MAY_BE_CHANCE in codes(found)) == ("use with care", True)
+    assert codes(found)[0] is (Why.MUCH_REMAINS if explained else Why.MAY_BE_CHANCE)
 
 
 def test_a_scale_is_named_where_too_much_would_remain_by_it_alone():

@@ -178,6 +178,14 @@ def test_a_board_of_another_size_is_named(sigma):
     assert reason.values["exact"] is (sigma == 0.0)
 
 
+def test_a_print_that_is_off_by_twice_what_prints_are_is_named():
+    """Along both axes; half of that is nothing to say."""
+    for scale, named in ((0.994, [Why.BOARD_SCALE_OFF]), (0.997, [])):
+        stated = replace(BOARD, sigma_scale=0.003)
+        found = reasons_of_images(camera(sigma=CLOSE), stated, points=scale * BOARD.corners)
+        assert [reason.why for reason in found] == named
+
+
 @pytest.mark.parametrize("square", [0.96, 0.9])
 def test_a_wrong_square_is_named_though_all_lengths_of_the_arm_make_up_for_it(square):
     """Lengths of the arm that have grown alike, by much more than arms are wrong, are no proof of a wide prior."""

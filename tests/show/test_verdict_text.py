@@ -108,6 +108,21 @@ def test_rows_that_alone_determine_errors_are_told_with_their_joints(rows, joint
     assert advice in text
 
 
+def test_what_remains_is_told_with_the_figures_of_its_share():
+    values = {"before_m": 4.628e-3, "after_m": 4.191e-3, "remains": 0.41}
+    free = {"free_before_m": 2.2e-3, "free_after_m": 0.902e-3}
+    text = reason_text(Reason.of(Why.MUCH_REMAINS, **values, **free))
+    assert "41 % on held-out rows, 0.902 mm of 2.200 mm rms once the noise is subtracted" in text
+    assert "from 4.628 to 4.191 mm rms with the noise" in text
+
+
+@pytest.mark.parametrize(("of_step", "said"), [(0.1234, "lag behind"), (-0.1234, "are ahead of")])
+def test_joint_values_of_another_time_are_told_with_their_share_of_a_step(of_step, said):
+    text = reason_text(Reason.of(Why.JOINTS_LATE, of_step=of_step, over_arm=1.2, falls=0.9))
+    assert f"{said} the measurements by 12.3 % of the time" in text
+    assert "falls by 90 %" in text
+
+
 def test_a_drift_that_was_taken_out_is_told_in_millimetres():
     text = reason_text(Reason.of(Why.DRIFT_REMOVED, drift_m=3.14e-4))
     assert "drifted by 0.314 mm from the first row to the last" in text
