@@ -139,7 +139,7 @@ class FleetRow:
             unseen, unseen_rms = "validation", _rms_by_unit(calibrated["validation"])
         elif calibration.cross_validation is not None:
             unseen = "cross-validation"
-        # Robots are compared by the parameters of robot and target; those of frames are of the instrument's place. Their
+        # Robots are compared by the parameters of robot and target; those of frames are of the instrument's place. The
         # covariance leaves the instrument's scale error out: all robots that it measured share it.
         compared = []
         stds = np.sqrt(np.diag(calibration.covariance))

@@ -74,7 +74,9 @@ def test_the_csv_table_is_in_mm_with_texts_and_empty_cells():
 
 def test_a_scale_error_that_all_robots_share_hides_no_difference_between_them(ur3, paper_table):
     exact, unknown = (
-        calibrate(ur3, paper_table, cell=Cell(model="dh", scale_certified=certified), validate=False)
+        calibrate(
+            ur3, paper_table, cell=Cell(model="dh", scale_certified=certified), validate=False
+        )
         for certified in (True, False)
     )
     name = "a3"
