@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.computed import computed_measurements
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
@@ -69,7 +70,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     yield from computed_measurements(fitted)
     yield from other_variant(result.nominal, result.robot)
 
-    few, chosen = thin(fitted)
+    few, _ = thin(fitted)
     scale = (result.non_geometric or result.geometry).scale
     yield from contradicted_values(few, scale, frame_aligned=cell.frame_aligned)
     yield from doubtful_views(few)
@@ -80,17 +81,28 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     if _is_named_model(result):
         yield from _missing_model(few)
     yield from partial_coverage(few)
-
-    # Joints moved to a row from the one before, whatever its set.
-    moves = m.moves_for(result.nominal.joint_names)
-    in_table = np.flatnonzero(m.estimation)[chosen]
-    yield from residual_patterns(few, np.array(m.rows)[in_table], moves[in_table])
-
+    yield from patterns_in_table(fitted, m)
     yield from disagreeing_stations(few)
     yield from flagged_station(fitted)
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
         yield Reason.of(Why.NO_LENGTH)
+
+
+def patterns_in_table(fitted: Fitted, measurements: Measurements) -> Iterator[Reason]:
+    """Find the patterns in the residuals of a fit to the rows of a table, see `residual_patterns`.
+
+    Args:
+        fitted: A fit to the estimation rows; of many, some are looked at.
+        measurements: The table. Joints moved to a row from the one before, whatever its set.
+
+    Yields:
+        A reason for each pattern.
+    """
+    few, chosen = thin(fitted)
+    in_table = np.flatnonzero(measurements.estimation)[chosen]
+    moves = measurements.moves_for(fitted.task.robot.joint_names)[in_table]
+    yield from residual_patterns(few, np.array(measurements.rows)[in_table], moves)
 
 
 def _is_named_model(result: Calibration) -> bool:
