@@ -99,7 +99,7 @@ def calibrate(
     if not validate:
         result = _assemble(measured, fits)
         absurd = absurd_noise(result.noise.sigma)
-        return _with_verdict_against(result, absurd[0]) if absurd else result
+        return result if absurd is None else _with_verdict_against(result, absurd)
     drift = _found_drift(measured, fits)
     if drift is not None:
         still = _without_drift(measured, drift)

@@ -12,6 +12,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.computed import computed_measurements
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
+from calib.diagnosis.judge import FAR_LESS
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
@@ -25,9 +26,6 @@ from calib.model.families import FAMILIES, joint_families
 from calib.numerics.errors import interval_factor
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
-
-#: The model lacks something if a larger one lowers the noise to this share.
-_FAR_LESS = 0.6
 
 #: The model lacks something if repeats scatter by less than this share of the noise.
 _SCATTER_SHARE = 0.5
@@ -157,7 +155,7 @@ def noise_doubts(
 
 
 def _missing_model(fitted: Fitted) -> Iterator[Reason]:
-    """Say if full placements, or these with non-geometric errors, would lower the noise of a fit to `_FAR_LESS`.
+    """Say if full placements, or these with non-geometric errors, would lower the noise of a fit to `FAR_LESS`.
 
     The reason has the name of the larger model that leaves the least noise, and the noise of the first channel by both
     models, such as ``noise_m`` and ``less_m`` [m].
@@ -173,7 +171,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
             continue
         larger = fit(task, rows, registered=fitted.setup)
         of_larger = float(larger.estimate.problem.noise_over_sigma[0])
-        if of_larger <= _FAR_LESS * least:
+        if of_larger <= FAR_LESS * least:
             least, lacking = of_larger, model
     if lacking:
         unit = rows.channels.units[0]
