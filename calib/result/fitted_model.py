@@ -21,7 +21,7 @@ from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.diagnosis.stated_values import Scale, instrument_scale
-from calib.diagnosis.untold import untold_error
+from calib.diagnosis.undetermined import undetermined_error
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
 from calib.model.error_model import FRAME, TARGET, ErrorModel
@@ -110,8 +110,8 @@ class FittedModel(Value):
     scale: Scale | None = None
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
-    #: Error over the joint limits that families of errors add of which the rows do not tell the sizes [m]
-    untold: float = 0.0
+    #: Error over the joint limits that families of errors add whose sizes the rows do not determine [m]
+    undetermined: float = 0.0
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None = None
 
@@ -176,7 +176,7 @@ class FittedModel(Value):
             expected_everywhere=of_everywhere,
             scale_measured=scale_of_measured,
             scale_everywhere=scale_everywhere,
-            untold=untold_error(fitted, everywhere),
+            undetermined=undetermined_error(fitted, everywhere),
         )
 
     @property
@@ -211,13 +211,13 @@ class FittedModel(Value):
         """Return what is added to the variance at the measured poses beyond them, with what the model lacks [m^2].
 
         The variance v that the covariance adds is f v by rows that were extrapolated (``extrapolation``), and v + u^2
-        by the errors that the rows cannot tell (``untold``). Both estimate what is lacking, and the larger counts.
+        by errors that the rows do not determine (``undetermined``). Both estimate what is lacking; the larger counts.
 
         Args:
             by_covariance: v [m^2]; if it is negative, f is 1.
         """
         factor = self.extrapolation if by_covariance > 0.0 else 1.0
-        return max(factor * by_covariance, by_covariance + self.untold**2)
+        return max(factor * by_covariance, by_covariance + self.undetermined**2)
 
     @property
     def by_scale(self) -> tuple[float, float]:

@@ -62,7 +62,7 @@ def test_the_nominal_robot_is_off_over_the_joint_limits_by_what_was_corrected(ca
         covariance=np.zeros_like(c.covariance),
         expected_measured=0.0,
         scale=None,
-        untold=0.0,
+        undetermined=0.0,
     )
     of_model, of_nominal, _ = _expected_over_limits(certain, certain.geometry)
     q = spread_poses(c.nominal)
@@ -78,7 +78,9 @@ def test_over_the_joint_limits_the_variance_of_predictions_counts_for_both_robot
     """trace(J C J^T), mean over the poses: all of it is expected of a model that is certain where it was measured."""
     _, c = calibrated("known set-ups")
     c = with_part(c, "geometry", scale=None)
-    only_there = with_part(c, "geometry", expected_measured=0.0, extrapolation=1.0, untold=0.0)
+    only_there = with_part(
+        c, "geometry", expected_measured=0.0, extrapolation=1.0, undetermined=0.0
+    )
     certain = with_part(only_there, "geometry", covariance=np.zeros_like(c.covariance))
     of_model, of_nominal, _ = _expected_over_limits(only_there, only_there.geometry)
     _, away, _ = _expected_over_limits(certain, certain.geometry)
