@@ -70,7 +70,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
 
     few, _ = thin(fitted)
     scale = (result.non_geometric or result.geometry).scale
-    yield from contradicted_values(few, scale, frame_aligned=cell.frame_aligned)
+    yield from contradicted_values(few, scale)
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)

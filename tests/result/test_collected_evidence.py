@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.basics.channels import Channels
+from calib.diagnosis.stated_values import Scale
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import (
     _collect_evidence,
@@ -72,6 +73,25 @@ def test_the_nominal_robot_is_off_over_the_joint_limits_by_what_was_corrected(ca
     away = np.linalg.norm(points - T[:, :3, 3], axis=1)
     assert of_model == 0.0
     assert of_nominal == pytest.approx(np.sqrt(np.mean(away**2)))
+
+
+def test_if_all_changes_are_scale_the_nominal_robot_is_the_better_one(calibrated):
+    """The floor under its error counts before the scale: the model alone is off by the growth of the arm."""
+    _, c = calibrated("known set-ups")
+    scale = Scale(share=1.0, std=1e-9, freedom=1e6, prior=1.0, growth=c.geometry.x)
+    grown = with_part(
+        c,
+        "geometry",
+        covariance=np.zeros_like(c.covariance),
+        expected_measured=0.0,
+        scale=scale,
+        undetermined=0.0,
+    )
+    of_model, of_nominal, by_scale = _expected_over_limits(grown, grown.geometry)
+    exact = with_part(grown, "geometry", scale=None)
+    _, changed, _ = _expected_over_limits(exact, exact.geometry)
+    assert of_model == by_scale == pytest.approx(changed, rel=0.02)
+    assert of_nominal < 0.02 * of_model
 
 
 def test_over_the_joint_limits_the_variance_of_predictions_counts_for_both_robots(calibrated):
