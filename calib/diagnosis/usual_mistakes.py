@@ -492,10 +492,10 @@ def _trials_of_joints(
     ``rows`` are points. Every trial has all targets unknown.
     """
     free = _with_unknown_targets(setup)
-    by_column = [correction for _, correction in correct_columns(robot, rows.joints, table.units)]
     corrections = [
-        *(correction for correction in by_column if correction[1].why is not Why.JOINTS_TURNED),
-        *correct_joints(robot, rows.joints, table.units),
+        correction
+        for correction in _single_corrections(robot, rows.joints, table.units)
+        if correction[1].why is not Why.JOINTS_TURNED
     ]
     of_columns = _best(robot, free, rows, corrections)
     for joints, mistake in (*of_columns, *_best_factors(robot, free, rows)):
@@ -509,6 +509,12 @@ def _trials_of_joints(
             moved = _with_nearest_values(robot, free, moved, joint, reach)
         constant = Reason.of(Why.JOINT_CONSTANT, joint=robot.joint_names[joint])
         yield Trial(_FREE, robot, free, moved, constant)
+
+
+def _single_corrections(robot: Robot, q: Array, units: Mapping[str, str]) -> list[Correction]:
+    """List the corrections of one mistake of joint values: of one column, then of several."""
+    of_columns = (correction for _, correction in correct_columns(robot, q, units))
+    return [*of_columns, *correct_joints(robot, q, units)]
 
 
 def _best(
@@ -607,17 +613,14 @@ def _pairs(
         return
     plain = Trial(_PLAIN, robot, free, rows, Reason.of(Why.TWO_MISTAKES))
     ranked: list[tuple[float, Trial]] = []
-    with_first = [
-        (plain, _two_of_joints(robot, rows.joints, table.units)),
-        *(
-            (trial, _one_of_joints(trial, table.units))
-            for trial in setups
-            if trial.mistake.why not in _ALONE
-        ),
-    ]
-    for trial, corrections in with_first:
+    with_first = [(plain, list(_two_of_joints(robot, rows.joints, table.units)))]
+    for trial in setups:
+        if trial.mistake.why not in _ALONE:
+            corrections = _single_corrections(trial.robot, trial.rows.joints, table.units)
+            both_undone = [(joints, (trial.mistake, other)) for joints, other in corrections]
+            with_first.append((trial, both_undone))
+    for trial, changed in with_first:
         factor = _ONE_OF_TWO * trial.factor
-        changed = list(corrections)
         q = np.array([joints for joints, _ in changed])
         errors = screened_errors(trial.robot, trial.setup, trial.rows, q, trial.rows.measured)
         for k in np.argsort(errors, kind="stable")[:REGISTERED].tolist():
@@ -649,16 +652,6 @@ def _two_of_joints(
                 yield twice, (first, second)
         for twice, second in correct_joints(robot, once, units):
             yield twice, (first, second)
-
-
-def _one_of_joints(
-    trial: Trial, units: Mapping[str, str]
-) -> Iterator[tuple[Array, tuple[Reason, Reason]]]:
-    """Yield joint values of a trial in which one mistake is undone, and that mistake after the trial's own."""
-    q = trial.rows.joints
-    of_columns = (correction for _, correction in correct_columns(trial.robot, q, units))
-    for joints, mistake in (*of_columns, *correct_joints(trial.robot, q, units)):
-        yield joints, (trial.mistake, mistake)
 
 
 def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
