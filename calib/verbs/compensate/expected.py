@@ -25,7 +25,6 @@ from scipy.special import chdtri, fdtri, gammaln
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only
-from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel
@@ -113,13 +112,13 @@ class ExpectedErrors(Value):
         return max(self.contributions, key=self.contributions.__getitem__)
 
 
-def expected_errors(pair: Pair, q: Array, moves: Array | None = None) -> ExpectedErrors:
+def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     """Compute the expected errors of the true robot at joint values to command.
 
     Args:
-        pair: The nominal robot and that of a result, with the tool and the frame of the program.
+        pair: The nominal robot and that of a result, with the tool and the frame of the program, and with the joints'
+            last moves before each row if they are known.
         q: shape (N, m), joint values to command [rad] or [m].
-        moves: shape (N, m), last move of each joint before, [rad] or [m]; None: not known.
 
     Returns:
         The errors of the N rows, and their sources.
@@ -129,7 +128,7 @@ def expected_errors(pair: Pair, q: Array, moves: Array | None = None) -> Expecte
     """
     result = _result(pair)
     part = result.part(non_geometric=pair.non_geometric)
-    views = _views(pair, result, part, q, moves)
+    views = _views(pair, result, part, q)
     target, tool, arrived = (pose_covariance(part, view) for view in views)
     lacking = _lacking(result, part, float(target.mean_square[1]))
     measured = None
@@ -152,12 +151,8 @@ def _result(pair: Pair) -> Calibration:
     return pair.result
 
 
-def _views(
-    pair: Pair, result: Calibration, part: FittedModel, q: Array, moves: Array | None
-) -> tuple[View, View, View]:
-    """Return views of the measured target, of the tool, and of the tool in the program's frame.
-
-    They are at joint values (N, m), [rad] or [m], after moves (N, m).
+def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tuple[View, View, View]:
+    """Return views of the measured target, of the tool, and of the tool in the program's frame, at joint values (N, m).
 
     The first two are in the measurement frame. If the tool is not a target, the target nearest to it is measured.
     """
@@ -169,10 +164,8 @@ def _views(
     else:
         target = setup.targets.index(pair.target)
     group = 0 if pair.group is None else setup.groups.index(pair.group)
-    load = None if pair.actual.load is None else pair.actual.load(q)
-    samples = replace(
-        Samples.at(q, load, moves), frame=np.full(len(q), group), target=np.full(len(q), target)
-    )
+    frames, targets = np.full(len(q), group), np.full(len(q), target)
+    samples = replace(pair.actual.samples(q), frame=frames, target=targets)
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
 
     in_base, unknown = pair.group is None, bool(unknown_base_directions(result))
