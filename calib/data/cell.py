@@ -525,12 +525,11 @@ class Cell(Value):
             return self.stated_scale_sigma
         if self.scale_certified:
             return 0.0
-        if self.boards and self.instrument is None:
+        if self.instrument is not None:
+            return SCALE_SIGMAS[self.instrument]
+        if self.boards:
             return max(board.sigma_scale for board in self.boards.values())
-        named = self.instrument
-        if named is None and self.tracker is not None:
-            named = "tracker"
-        return SCALE_SIGMAS.get(named or "", UNKNOWN_SCALE)
+        return UNKNOWN_SCALE if self.tracker is None else SCALE_SIGMAS["tracker"]
 
     def __repr__(self) -> str:
         """Return one line: the model, and the names of the other attributes that are not the default ones."""

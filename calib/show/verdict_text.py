@@ -265,7 +265,7 @@ SENTENCES = {
     + "target is registered again: was it remounted? Then give its position with --target.",
 }
 
-#: Second sentence on a cell, by what it cannot be told from.
+#: Second sentence on a cell, by what has the same effect.
 _DH_ELSEWHERE = {
     "": "",
     "base": " The controller's base frame, or the line 'base', would have the same effect.",
