@@ -28,6 +28,9 @@ from calib.model.kinematics import Kinematics
 from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
 
+#: Degrees of freedom of a fit below which its residuals and its noise say little.
+FEWEST_FREEDOM = 10.0
+
 #: A finding with a smaller p-value is not due to chance.
 UNLIKELY = 1e-3
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.basics.arrays import Array
-from calib.diagnosis.augmented_fit import UNLIKELY, nominal_under
+from calib.diagnosis.augmented_fit import FEWEST_FREEDOM, UNLIKELY, nominal_under
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
 
@@ -34,11 +34,9 @@ SOME_VALUES = 4
 #: With coarser rounding, good instruments leave no more either [m].
 _COARSE = 30e-6
 
-#: No arm repeats a pose, and no instrument measures it, as closely as this [m].
-_NO_INSTRUMENT = 1e-6
-
-#: Degrees of freedom of a fit below which its noise says little.
-_FEWEST_FREEDOM = 10.0
+#: Noise below this is rounding, in which any test finds patterns: no arm repeats a pose, and no instrument measures it,
+#: as closely [m, rad].
+ROUNDING_NOISE = 1e-6
 
 
 def computed_measurements(fitted: Fitted) -> Iterator[Reason]:
@@ -54,7 +52,7 @@ def computed_measurements(fitted: Fitted) -> Iterator[Reason]:
     """
     rows, freedom = fitted.estimate.problem.rows, fitted.estimate.freedom
     positions = rows.where(lambda kind: kind.position)
-    if freedom < _FEWEST_FREEDOM or not np.all(positions):
+    if freedom < FEWEST_FREEDOM or not np.all(positions):
         return
     noise = float(np.median(fitted.estimate.problem.scales[:, :3]))
     of_coordinates = largest_step(rows.measured[:, :3], _DECIMALS, _ON_GRID) ** 2 / 12.0
@@ -62,7 +60,7 @@ def computed_measurements(fitted: Fitted) -> Iterator[Reason]:
 
     # Squares of noise over rounding that are likely if there is nothing else: chi-square over its freedom.
     low, high = chdtri(freedom, [1.0 - UNLIKELY, UNLIKELY]) / freedom
-    fits_coordinates = noise**2 < max(high * of_coordinates, _NO_INSTRUMENT**2)
+    fits_coordinates = noise**2 < max(high * of_coordinates, ROUNDING_NOISE**2)
     fits_both = low * of_both < noise**2 < high * of_both
     rounding = float(np.sqrt(of_coordinates if fits_coordinates else of_both))
     if (fits_coordinates or fits_both) and rounding < _COARSE:

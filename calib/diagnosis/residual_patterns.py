@@ -15,12 +15,13 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
 from calib.diagnosis.augmented_fit import (
+    FEWEST_FREEDOM,
     PREDICTS,
     estimate_jointly,
     gain_on_blocks,
     nominal_under,
 )
-from calib.diagnosis.computed import SOME_VALUES, largest_step
+from calib.diagnosis.computed import ROUNDING_NOISE, SOME_VALUES, largest_step
 from calib.diagnosis.patterns import (
     Explained,
     Stack,
@@ -34,12 +35,6 @@ from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stations import SOME_FLAGGED
 from calib.fit.estimate.fitting import Fitted
 from calib.model.error_model import ErrorModel
-
-#: Noise below this is rounding, in which any test finds patterns [m, rad].
-ROUNDING_NOISE = 1e-6
-
-#: Degrees of freedom of a fit below which no pattern is looked for.
-FEWEST_FREEDOM = 10.0
 
 #: A direction was fitted if an error of the expected size moves the scalars by so many standard deviations.
 _FITTED = 1.0

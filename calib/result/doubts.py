@@ -9,12 +9,12 @@ import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.data.measurements import Measurements
-from calib.diagnosis.augmented_fit import thin
-from calib.diagnosis.computed import computed_measurements
+from calib.diagnosis.augmented_fit import FEWEST_FREEDOM, thin
+from calib.diagnosis.computed import ROUNDING_NOISE, computed_measurements
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
 from calib.diagnosis.judge import FAR_LESS
 from calib.diagnosis.reasons import Reason, Why
-from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
+from calib.diagnosis.residual_patterns import residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.diagnosis.usual_mistakes import doubtful_senses
@@ -31,7 +31,7 @@ from calib.result.calibration import Calibration
 _SCATTER_SHARE = 0.5
 
 #: Noise more than so many times the one stated is not the instrument's, and one that is as much smaller was misstated.
-_ABOVE = 5.0
+CONTRADICTED = 5.0
 
 #: A robot that stops no better than it does explains residuals up to so many times the stated noise: the best
 #: instruments have a hundredth of a robot's repeatability.
@@ -144,10 +144,10 @@ def noise_doubts(
         if not stated:
             if noise > unit.large_noise and not lacking:
                 yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})
-        elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):
+        elif noise > CONTRADICTED * np.hypot(sigma, unit.repeatability):
             if not lacking:
                 yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
-        elif sigma > _ABOVE * noise or noise > _FAR_ABOVE * sigma:
+        elif sigma > CONTRADICTED * noise or noise > _FAR_ABOVE * sigma:
             yield Reason.of(Why.SIGMA_UNLIKELY, **sizes)
 
 

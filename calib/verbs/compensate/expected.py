@@ -27,6 +27,7 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration
+from calib.result.doubts import CONTRADICTED
 from calib.result.fitted_model import FittedModel
 from calib.verbs.compensate.nominal_actual import Pair
 from calib.verbs.compensate.pose_covariance import (
@@ -56,10 +57,6 @@ _CHANCE = 0.05
 
 #: With fewer degrees of freedom, the scatter of repeats does not determine the noise.
 _FEWEST_REPEATS = 6.0
-
-#: A stated noise so many times that of the residuals is not believed, and the verdict says so. One that is too small
-#: is harmless: what exceeds it counts as error that the model lacks, as it does if no noise is stated.
-_CONTRADICTED = 5.0
 
 #: The largest value of h (1 - h), for a leverage h.
 _LARGEST_RATIO = 0.25
@@ -312,7 +309,9 @@ def _instrument_noise(
     believed = []
     for unit, stated in result.noise.sigma_given.items():
         found = result.noise.sigma.get(unit, stated)
-        if unit in _POSE_UNITS and stated < _CONTRADICTED * found:
+        # One that is far above that of the residuals is not believed, and the verdict says so. One that is too small is
+        # harmless: what exceeds it counts as error that the model lacks, as it does if no noise is stated.
+        if unit in _POSE_UNITS and stated < CONTRADICTED * found:
             sigma[unit] = stated
             freedom[unit] = np.inf
             believed.append(unit)
