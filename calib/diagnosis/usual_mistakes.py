@@ -189,7 +189,7 @@ def frame_not_found(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
     """Name a frame that registration sought and did not find.
 
     A frame in the right place leaves the errors of an uncalibrated arm. If the best place leaves far larger ones, it is
-    a local minimum, or the robot or the table is wrong: the rows cannot tell which.
+    a local minimum, or the robot or the table is wrong: the rows do not show which.
 
     Args:
         robot: The nominal robot.
@@ -302,7 +302,8 @@ def find_usual_mistake(
 def _given_target_turned(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
     """Return the zero of the last joint with which the targets are where they were given, if they seem to be elsewhere.
 
-    The rows, which are points, cannot tell that zero from the target's place: with the target estimated, any zero fits.
+    For rows that are points, that zero and the target's place have the same effect: with the target estimated, any zero
+    fits.
     None if some target was not given, is where it was, or no turn by a round angle puts it there.
     """
     last = len(robot.inputs) - 1
@@ -333,7 +334,9 @@ def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
     as_good = []
     for other_contradicted, _, other in others:
         if other.values["error_m"] <= limit and other_contradicted == contradicted:
-            as_good.append(other.entry)
+            # The error as given is stated once.
+            values = {name: value for name, value in other.entry.items() if name != "given_m"}
+            as_good.append(values)
     return mistake.with_others(as_good)
 
 

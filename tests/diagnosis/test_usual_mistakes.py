@@ -237,7 +237,8 @@ def test_explanations_as_good_as_the_best_are_named_with_it():
         return False, factor * error_m, Reason.of(why, error_m=error_m)
 
     best = explanation(1.0, 2e-3, Why.OTHER_BASE)
-    as_good = explanation(2.0, 1.9e-3, Why.OWN_FRAME)
+    contradicted, weighted, own_frame = explanation(2.0, 1.9e-3, Why.OWN_FRAME)
+    as_good = contradicted, weighted, own_frame.with_values(given_m=0.5)
     found = _choose([explanation(1.2, 3.1e-3, Why.COLUMNS_REVERSED), as_good, best])
     assert (found.why, found.values["error_m"]) == (Why.OTHER_BASE, 2e-3)
     assert found.values["others"] == [{"code": "own_frame", "error_m": 1.9e-3}]
