@@ -93,6 +93,12 @@ def calibrate(
         stated = replace(stated, model=model)
     measured = measured.without_copies()
     fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
+    drift = None
+    if validate and not fits.mistake:
+        drift = _found_drift(measured, fits)
+    if drift is not None:
+        measured = _without_drift(measured, drift)
+        fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
 
     if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
         return _with_verdict_against(_assemble(measured, fits), fits.mistake)
@@ -100,14 +106,6 @@ def calibrate(
         result = _assemble(measured, fits)
         absurd = absurd_noise(result.noise.sigma)
         return result if absurd is None else _with_verdict_against(result, absurd)
-    drift = _found_drift(measured, fits)
-    if drift is not None:
-        still = _without_drift(measured, drift)
-        refitted = fit_table(arm, still, stated, model=model, solver=solver, robust=robust)
-        if refitted.mistake is None:
-            measured, fits = still, refitted
-        else:  # then it stays in the rows, and is a doubt
-            drift = None
     return _assemble_validated(measured, fits, progress, drift)
 
 

@@ -48,11 +48,10 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
         of_bending = tuple(negative_compliances(of_larger))
         every_doubt = (*doubts, *of_bending)
         evidence = _collect_evidence(result, larger, of_larger, larger.residual, rows, every_doubt)
-        larger = replace(larger, verdict=judge(evidence))
-        result = replace(result, non_geometric=larger)
-        assert larger.cross_validation is not None
-        if larger.verdict is not None and larger.verdict.use != NO:
-            usable = larger.name, larger.cross_validation.errors_without_outliers
+        verdict = judge(evidence)
+        result = replace(result, non_geometric=replace(larger, verdict=verdict))
+        if verdict.use != NO:
+            usable = larger.name, evidence.after
 
     geometry, fitted = result.geometry, result.fit.geometry
     residual = result.rows.residual_calibrated
