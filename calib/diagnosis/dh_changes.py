@@ -2,11 +2,11 @@
 
 Each mistake is a change of the rows that undoes it. All are tried alike: the robot of the changed rows is compared with
 the measured poses, given targets and frames where they were given. Some changes leave a number x open. The target's
-pose is then B S(x) C with S a screw along or about an axis z or x of the rows, so that the sum of squares is, of a
-length, a parabola of x, and of an angle a sinusoid: few values of it give the best x. Positions are linear in all
-lengths together, so two or three that are wrong are found by linear least squares.
+pose is then B S(x) C with S a screw along or about an axis z or x of the rows, so that the sum of squares is a parabola
+of x for a length, and a sinusoid for an angle: few values of it give the best x. Positions are linear in all lengths
+together, so two or three that are wrong are found by linear least squares.
 
-Poses that a controller computes from its own rows agree with the right ones but for rounding. A change that lowers
+Poses that a controller computes from its own rows agree with the right ones except for rounding. A change that lowers
 centimetres, or millimetres, to that is the mistake; no error of a real arm does so.
 """
 
@@ -42,20 +42,25 @@ from calib.robot.urdf import urdf_of_dh
 #: What each reading of a joint may be off in poses of a controller: two units of the last digit that it shows [rad].
 _LAST_DIGITS = np.radians(0.02)
 
-#: A smaller change of an angle is an error of an arm, whose joint's zero may be off by as much, and no slip [rad].
+#: A smaller change of an angle is not a slip but an error of an arm, whose joint's zero may be off by as much [rad].
 _LEAST_TURN = np.radians(3.0)
 
 #: The most lengths that are wrong together.
 _MOST_LENGTHS = 3
 
-#: Measured numbers that have to remain after all that is free, so that these do not explain anything.
+#: Measured numbers that have to remain besides those that are free, which would explain anything otherwise.
 _LEFT_OVER = 4
 
-#: Steps in which the best number of a cell is sought: of a length, in half lengths of the arm, and of an angle [rad];
-#: each round is finer by a factor. A parabola is exact of a length, and of a sinusoid two leave 1e-5 rad.
+#: First step of the search for the best length of a cell, in levers (half lengths of the arm).
 _LENGTH_STEP = 0.2
+
+#: First step of that for the best angle [rad].
 _ANGLE_STEP = np.pi / 6.0
+
+#: Factor on the step from one round to the next.
 _FINER = 0.05
+
+#: Rounds of the search: one parabola is exact for a length, and two leave 1e-5 rad of an angle's sinusoid.
 _ROUNDS = 2
 
 #: The least curvature of the mean square that determines a number: 2 if this moves all rows by its own amount.
@@ -79,8 +84,9 @@ _SAME = 1e-6
 #: Entries of poses of two robots that differ by less are the same for rounded poses [m or 1].
 _SAME_POSE = 1e-3
 
-#: Units of lengths that a column may be in though its heading says mm, with the factor.
-_LENGTH_UNITS = (("cm", 10.0), ("m", 1e3), ("in", 25.4))
+#: Units that a column may be in under a heading of another, with the heading and the factor: of lengths, and of angles.
+_LENGTH_UNITS = (("cm", "mm", 10.0), ("m", "mm", 1e3), ("in", "mm", 25.4))
+_ANGLE_UNITS = (("rad", "deg", float(np.degrees(1.0))),)
 
 #: The columns of lengths, and of angles.
 _LENGTHS = ("d", "a")
@@ -166,14 +172,14 @@ def stated_rows(robot: Robot, q: Array) -> DHRobot | None:
 
 
 def find_wrong_rows(trials: DHTrials) -> Reason | None:
-    """Find the mistake in DH rows that poses of a controller show, which agree with the right ones but for rounding.
+    """Find the mistake in DH rows that poses of a controller show, which agree with the right ones except for rounding.
 
     Args:
         trials: The rows as they are stated, and the poses.
 
     Returns:
         The mistake, with the errors as given and with it undone [m] and [rad], and others that explain the rows as
-        well; None if the rows agree as they are, or no change explains them but for rounding.
+        well; None if the rows agree as they are, or no change explains them except for rounding.
     """
     dh, rows = trials.dh, trials.rows
     limit = _rounding(dh)
@@ -279,9 +285,9 @@ def _other_convention(dh: DHRobot) -> Iterator[Change]:
 
 
 def _other_arms(dh: DHRobot) -> Iterator[Change]:
-    """Yield the arms of Universal Robots, if the rows have their angles; of a slip in one or two cells, these cells.
+    """Yield the rows of each arm of Universal Robots, if the stated ones have its angles.
 
-    Arms differ in more lengths than two.
+    If only one or two lengths differ, these cells are named, and not the arm: arms differ in more.
     """
     rows = dh.table.rows
     if dh.table.convention == MODIFIED:
@@ -303,23 +309,17 @@ def _other_arms(dh: DHRobot) -> Iterator[Change]:
 
 def _other_units(dh: DHRobot) -> Iterator[Change]:
     """Yield the rows in which a column, or both columns of lengths or of angles, are in another unit than stated."""
-    units = [
-        *(
-            (columns, unit, "mm", factor)
-            for columns in (("a",), ("d",), _LENGTHS)
-            for unit, factor in _LENGTH_UNITS
-        ),
-        *(
-            (columns, "rad", "deg", np.degrees(1.0))
-            for columns in (("alpha",), ("theta",), _ANGLES)
-        ),
-    ]
-    for columns, unit, header, factor in units:
+    columns_and_units = (
+        *itertools.product((("a",), ("d",), _LENGTHS), _LENGTH_UNITS),
+        *itertools.product((("alpha",), ("theta",), _ANGLES), _ANGLE_UNITS),
+    )
+    for columns, (unit, header, factor) in columns_and_units:
         scaled = {
             i: replace(row, **{column: factor * getattr(row, column) for column in columns})
             for i, row in enumerate(dh.table.rows)
         }
-        values = {"what": f"numbers of {' and '.join(columns)}", "unit": unit, "header": header}
+        what = f"numbers of {' and '.join(columns)}"
+        values = {"what": what, "factor": factor, "unit": unit, "header": header}
         yield Change(_with_rows(dh, scaled), Why.DH_UNIT, values=values)
 
 

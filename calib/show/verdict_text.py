@@ -100,7 +100,7 @@ SENTENCES = {
     "headings that fit.",
     Why.DH_VARIANT: _ROWS_OFF + "the arm is a {arm}: give its lengths d and a.",
     Why.DH_UNIT: _ROWS_OFF
-    + "the {what} are in {unit}, although the heading says {header}: correct the heading.",
+    + "the {what} are multiplied by {factor:.4g}, as of {unit} under a heading of {header}: correct the heading.",
     Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the errors "
     "stay larger than those of any uncalibrated arm, so the nominal robot cannot be judged. "
     "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "

@@ -272,6 +272,7 @@ def test_a_column_in_another_unit_and_another_arm_are_named(tmp_path):
     reason = told(in_cm, shown(in_cm), tmp_path)
     assert reason is not None
     assert (reason.why, reason.values["unit"]) == (Why.DH_UNIT, "cm")
+    assert (reason.values["what"], reason.values["factor"]) == ("numbers of a", 10.0)
 
     # The lengths of a UR3, while a UR10e stands there.
     lengths = {"J1": (151.9, 0), "J2": (0, -243.65), "J3": (0, -213.25)}
