@@ -246,6 +246,11 @@ class Scale:
         return float(np.sqrt(self.mean**2 + self.variance))
 
     @property
+    def change(self) -> Array:
+        """Change of the parameters by the scale error, rms, shape (p,), in their units."""
+        return self.size * self.growth
+
+    @property
     def bound(self) -> float:
         """Size of the share that is exceeded by chance in 5 to 10 %, by the prior and the rows.
 
