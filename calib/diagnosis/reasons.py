@@ -228,13 +228,18 @@ class Reason:
         return {"code": self.code, **self.values}
 
     def with_values(self, **values: Any) -> Reason:  # noqa: ANN401
-        """Return the reason with further values, which come before its own."""
+        """Return the reason with further values before its own; those that it has stay.
+
+        Args:
+            **values: Numbers, in SI units, and names.
+        """
         return Reason(self.why, {**values, **self.values})
 
     def with_others(self, others: Sequence[Mapping[str, Any]]) -> Reason:
-        """Return the reason with other mistakes that explain the rows as well, as `entry` has them, if there are any.
+        """Return the reason with other mistakes that explain the rows as well, as its value ``"others"``.
 
-        They are the value ``"others"``.
+        Args:
+            others: The mistakes as `entry` has them; if there are none, the reason has no such value.
         """
         return Reason(self.why, {**self.values, "others": list(others)}) if others else self
 
