@@ -87,9 +87,8 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
     try:
         with contextlib.ExitStack() as stack:
             temporary.touch()
-            with contextlib.suppress(
-                OSError
-            ):  # a file system without locks, where no leftover is removed
+            # A file system may have no locks: there no leftover is removed.
+            with contextlib.suppress(OSError):
                 stack.enter_context(_held(temporary, wait=True))
             temporary.write_bytes(data)
             if target.exists():

@@ -173,16 +173,17 @@ def shift_decimal(value: float, places: int) -> float:
     return float(Decimal(repr(float(value))).scaleb(places))
 
 
-def decimal(unit: str, places: int) -> Form:
+def decimal(unit: str, places: int, least: float = -np.inf) -> Form:
     """Return the form of a number in a unit of 10**places SI units (mm: -3), converted by shifting the decimal point.
 
-    The decimal digits of the file are kept; what is not a number is refused.
+    The decimal digits of the file are kept; what is not a number, or is below ``least`` (in the unit), is refused.
     """
 
     def read(value: Any) -> float | None:  # noqa: ANN401
-        return shift_decimal(value, places) if is_number(value) else None
+        return shift_decimal(value, places) if is_number(value) and value >= least else None
 
-    return form(f"a number [{unit}]", read, lambda value: shift_decimal(value, -places))
+    limit = f", {least:g} or more" if np.isfinite(least) else ""
+    return form(f"a number [{unit}]{limit}", read, lambda value: shift_decimal(value, -places))
 
 
 def three_numbers(unit: str = "", convert: Callable[[Array], Any] | None = None) -> Form:

@@ -287,7 +287,7 @@ class Cell(Value):
         absent="unknown: 1 %; with a table `tracker` a tracker; boards state their own",
         check=Check(
             f"one of {choices(SCALE_SIGMAS)}",
-            lambda value: value if value is None or value in SCALE_SIGMAS else None,
+            lambda value: value if value in SCALE_SIGMAS else None,
         ),
     )
     #: True if the instrument's scale was certified, and is exact unless ``stated_scale_sigma`` says how well.
@@ -301,11 +301,11 @@ class Cell(Value):
     #: Standard deviation of the scale error, a share; None: by ``scale_certified`` and ``instrument``.
     stated_scale_sigma: float | None = key(
         "sigma_scale_percent",
-        decimal("%", -2),
+        decimal("%", -2, least=0.0),
         "Standard deviation of the instrument's scale error [%].",
         default=None,
         absent="by `scale_certified` and `instrument`",
-        check=Check("0 or more [%]", lambda value: value if value >= 0.0 else None),
+        check=Check("0 or more", lambda value: value if value >= 0.0 else None),
     )
     #: True if a known measurement frame was aligned with the base: if the base seems to have moved, the arm is off.
     frame_aligned: bool = key(
@@ -525,12 +525,11 @@ class Cell(Value):
             return self.stated_scale_sigma
         if self.scale_certified:
             return 0.0
-        if self.boards and self.instrument is None:
+        if self.instrument is not None:
+            return SCALE_SIGMAS[self.instrument]
+        if self.boards:
             return max(board.sigma_scale for board in self.boards.values())
-        named = self.instrument
-        if named is None and self.tracker is not None:
-            named = "tracker"
-        return SCALE_SIGMAS.get(named or "", UNKNOWN_SCALE)
+        return UNKNOWN_SCALE if self.tracker is None else SCALE_SIGMAS["tracker"]
 
     def __repr__(self) -> str:
         """Return one line: the model, and the names of the other attributes that are not the default ones."""

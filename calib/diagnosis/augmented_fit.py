@@ -24,7 +24,12 @@ from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
 from calib.fit.registration.registration import ENOUGH
 from calib.model.families import FAMILIES
+from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
+
+#: Degrees of freedom of a fit below which its residuals and its noise say little.
+FEWEST_FREEDOM = 10.0
 
 #: A finding with a smaller p-value is not due to chance.
 UNLIKELY = 1e-3
@@ -174,6 +179,27 @@ def augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -
         C=np.hstack([linear.C, of_known]),
         held=np.pad(linear.held, (0, count)),
     )
+
+
+def nominal_under(name: str, fitted: Fitted) -> Kinematics:
+    """Return the nominal robot under another error model, with frames and targets at the solution of a fit.
+
+    Its derivatives at zero are those of further unknowns of the fit.
+
+    Args:
+        name: Name of a parameter set, with families after it: ``"zeros"``, ``"frames+compliance"``. All targets are
+            parameters too, no frame is.
+        fitted: The fit.
+    """
+    setup = fitted.estimated_setup()
+    model = error_model(
+        fitted.task.robot,
+        name,
+        frame=dict.fromkeys(setup.frame_unknowns, ()),
+        targets=setup.target_names,
+        gravity=fitted.task.cell.gravity,
+    )
+    return Kinematics(fitted.task.robot, model, setup.T_frame_base, setup.T_tip_target)
 
 
 def thin(fitted: Fitted) -> tuple[Fitted, Mask]:

@@ -12,17 +12,15 @@ A real measurement has the errors of the instrument and of the robot's repeatabi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.special import chdtri
 
 from calib.basics.arrays import Array
-from calib.diagnosis.augmented_fit import UNLIKELY
+from calib.diagnosis.augmented_fit import FEWEST_FREEDOM, UNLIKELY, nominal_under
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
-from calib.model.kinematics import Kinematics
-from calib.model.parameter_sets import error_model
 
 #: Decimals of a table, in its units: 10 to the power of minus these.
 _DECIMALS = 10.0 ** -np.arange(8.0)
@@ -31,16 +29,14 @@ _DECIMALS = 10.0 ** -np.arange(8.0)
 _ON_GRID = 1e-5
 
 #: A joint with fewer different values has no rounding that differs from row to row.
-_SOME_VALUES = 4
+SOME_VALUES = 4
 
 #: With coarser rounding, good instruments leave no more either [m].
 _COARSE = 30e-6
 
-#: No arm repeats a pose, and no instrument measures it, as closely as this [m].
-_NO_INSTRUMENT = 1e-6
-
-#: Degrees of freedom of a fit below which its noise says little.
-_FEWEST_FREEDOM = 10.0
+#: Noise below this is rounding, in which any test finds patterns: no arm repeats a pose, and no instrument measures it,
+#: as closely [m, rad].
+ROUNDING_NOISE = 1e-6
 
 
 def computed_measurements(fitted: Fitted) -> Iterator[Reason]:
@@ -56,15 +52,15 @@ def computed_measurements(fitted: Fitted) -> Iterator[Reason]:
     """
     rows, freedom = fitted.estimate.problem.rows, fitted.estimate.freedom
     positions = rows.where(lambda kind: kind.position)
-    if freedom < _FEWEST_FREEDOM or not np.all(positions):
+    if freedom < FEWEST_FREEDOM or not np.all(positions):
         return
     noise = float(np.median(fitted.estimate.problem.scales[:, :3]))
-    of_coordinates = _step(rows.measured[:, :3], (1.0,)) ** 2 / 12.0
+    of_coordinates = largest_step(rows.measured[:, :3], _DECIMALS, _ON_GRID) ** 2 / 12.0
     of_both = of_coordinates + _by_joints(fitted)
 
     # Squares of noise over rounding that are likely if there is nothing else: chi-square over its freedom.
     low, high = chdtri(freedom, [1.0 - UNLIKELY, UNLIKELY]) / freedom
-    fits_coordinates = noise**2 < max(high * of_coordinates, _NO_INSTRUMENT**2)
+    fits_coordinates = noise**2 < max(high * of_coordinates, ROUNDING_NOISE**2)
     fits_both = low * of_both < noise**2 < high * of_both
     rounding = float(np.sqrt(of_coordinates if fits_coordinates else of_both))
     if (fits_coordinates or fits_both) and rounding < _COARSE:
@@ -74,26 +70,31 @@ def computed_measurements(fitted: Fitted) -> Iterator[Reason]:
 def _by_joints(fitted: Fitted) -> float:
     """Return the variance of a measured coordinate by the rounding of joint values, mean over rows and axes [m^2]."""
     rows, robot = fitted.estimate.problem.rows, fitted.task.robot
-    names, setup = fitted.setup.target_names, fitted.estimated_setup()
-    frames = dict.fromkeys(fitted.setup.frame_unknowns, ())
-    model = error_model(robot, "zeros", frame=frames, target=names, targets=names)
-    nominal = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-    columns = rows.derivative(nominal.linearised(np.zeros(len(model)), rows.samples))[:, :3]
+    nominal = nominal_under("zeros", fitted)
+    names, zero = nominal.model.names, np.zeros(len(nominal.model))
+    columns = rows.derivative(nominal.linearised(zero, rows.samples))[:, :3]
     total = 0.0
     for joint, q in zip(robot.inputs, rows.joints.T, strict=True):
         name = f"{joint.name}.zero"
-        if name in model.names and len(np.unique(q)) >= _SOME_VALUES:
-            units = (1.0,) if joint.type == "prismatic" else (1.0, float(np.radians(1.0)))
-            by_step = columns[:, :, model.names.index(name)] * _step(q, units)
+        if name in names and len(np.unique(q)) >= SOME_VALUES:
+            steps = _DECIMALS
+            if joint.type != "prismatic":
+                steps = np.concatenate([_DECIMALS, np.radians(1.0) * _DECIMALS])
+            by_step = columns[:, :, names.index(name)] * largest_step(q, steps, _ON_GRID)
             total += float(np.mean(by_step**2)) / 12.0
     return total
 
 
-def _step(values: Array, units: Sequence[float]) -> float:
-    """Return the largest decimal step, in any of these units (in SI), that values are multiples of; 0 if of none."""
-    steps = np.sort(np.outer(units, _DECIMALS).ravel())[::-1]
-    for step in steps.tolist():
+def largest_step(values: Array, steps: Array, within: float) -> float:
+    """Return the largest step of which all values are multiples, in their unit; 0 if there is none.
+
+    Args:
+        values: Of any shape.
+        steps: Steps to try, shape (k,), in the same unit.
+        within: Share of a step by which values may miss its multiples.
+    """
+    for step in np.sort(steps)[::-1].tolist():
         multiples = values / step
-        if np.all(np.abs(multiples - np.round(multiples)) < _ON_GRID):
+        if np.all(np.abs(multiples - np.round(multiples)) < within):
             return float(step)
     return 0.0

@@ -60,7 +60,7 @@ _ABOVE_TYPICAL = 10.0
 #: joints do: three times the unknowns of a pose.
 _FEWEST_SCALARS = 18
 
-#: A leverage is below 1 but for rounding.
+#: A leverage is below 1, except for rounding.
 _HIGHEST_LEVERAGE = 1.0 - 1e-9
 
 #: The share of the rows at each end of a joint's measured values that are predicted by the others.

@@ -2,11 +2,11 @@
 
 Each mistake is a change of the rows that undoes it. All are tried alike: the robot of the changed rows is compared with
 the measured poses, given targets and frames where they were given. Some changes leave a number x open. The target's
-pose is then B S(x) C with S a screw along or about an axis z or x of the rows, so that the sum of squares is, of a
-length, a parabola of x, and of an angle a sinusoid: few values of it give the best x. Positions are linear in all
-lengths together, so two or three that are wrong are found by linear least squares.
+pose is then B S(x) C with S a screw along or about an axis z or x of the rows, so that the sum of squares is a parabola
+of x for a length, and a sinusoid for an angle: few values of it give the best x. Positions are linear in all lengths
+together, so two or three that are wrong are found by linear least squares.
 
-Poses that a controller computes from its own rows agree with the right ones but for rounding. A change that lowers
+Poses that a controller computes from its own rows agree with the right ones except for rounding. A change that lowers
 centimetres, or millimetres, to that is the mistake; no error of a real arm does so.
 """
 
@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,15 @@ import numpy as np
 from calib.basics.arrays import Array
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.screening import errors_of_tips
-from calib.diagnosis.trials import misfit, with_joints
+from calib.diagnosis.trials import (
+    AS_GOOD,
+    FAR_BETTER,
+    PLAUSIBLE,
+    PLAUSIBLE_ANGLE,
+    REGISTERED,
+    misfit,
+    with_joints,
+)
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.robot.dh_rows import MODIFIED, STANDARD, DHRobot, DHRow
@@ -33,40 +42,34 @@ from calib.robot.urdf import urdf_of_dh
 #: What each reading of a joint may be off in poses of a controller: two units of the last digit that it shows [rad].
 _LAST_DIGITS = np.radians(0.02)
 
-#: A change is named only if it lowers the error to this share; one with free numbers, to this share divided by one more
-#: than these are.
-_FAR_BETTER = 0.2
-
-#: A smaller change of an angle is an error of an arm, whose joint's zero may be off by as much, and no slip [rad].
+#: A smaller change of an angle is not a slip but an error of an arm, whose joint's zero may be off by as much [rad].
 _LEAST_TURN = np.radians(3.0)
-
-#: Nominal errors below these may be those of an arm, if a frame or a target is registered [m] and [rad].
-_PLAUSIBLE = (0.02, 0.1)
 
 #: The most lengths that are wrong together.
 _MOST_LENGTHS = 3
 
-#: Measured numbers that have to remain after all that is free, so that these do not explain anything.
+#: Measured numbers that have to remain besides those that are free, which would explain anything otherwise.
 _LEFT_OVER = 4
 
-#: Steps in which the best number of a cell is sought: of a length, in half lengths of the arm, and of an angle [rad];
-#: each round is finer by a factor. A parabola is exact of a length, and of a sinusoid two leave 1e-5 rad.
+#: First step of the search for the best length of a cell, in levers (half lengths of the arm).
 _LENGTH_STEP = 0.2
+
+#: First step of that for the best angle [rad].
 _ANGLE_STEP = np.pi / 6.0
+
+#: Factor on the step from one round to the next.
 _FINER = 0.05
+
+#: Rounds of the search: one parabola is exact for a length, and two leave 1e-5 rad of an angle's sinusoid.
 _ROUNDS = 2
 
-#: The least curvature of the squares that tells a number: 2 if this moves all rows by its own amount.
+#: The least curvature of the mean square that determines a number: 2 if this moves all rows by its own amount.
 _LEAST_CURVATURE = 1e-3
 
-#: Changes that are registered after a screen of all, if a frame is sought.
-_REGISTERED = 12
-
-#: Two or three lengths cannot be told apart if their columns are worse conditioned.
+#: Two or three lengths are not determined together if their columns are worse conditioned.
 _WORST_CONDITION = 1e3
 
-#: Errors within this factor, or below this share of the rounding, are equal.
-_AS_GOOD = 1.5
+#: Errors that differ by less than this share of the rounding are equal.
 _OF_ROUNDING = 0.1
 
 #: Likely angles of rows [rad].
@@ -81,8 +84,9 @@ _SAME = 1e-6
 #: Entries of poses of two robots that differ by less are the same for rounded poses [m or 1].
 _SAME_POSE = 1e-3
 
-#: Units of lengths that a column may be in though its heading says mm, with the factor.
-_LENGTH_UNITS = (("cm", 10.0), ("m", 1e3), ("in", 25.4))
+#: Units that a column may be in under a heading of another, with the heading and the factor: of lengths, and of angles.
+_LENGTH_UNITS = (("cm", "mm", 10.0), ("m", "mm", 1e3), ("in", "mm", 25.4))
+_ANGLE_UNITS = (("rad", "deg", float(np.degrees(1.0))),)
 
 #: The columns of lengths, and of angles.
 _LENGTHS = ("d", "a")
@@ -90,7 +94,7 @@ _ANGLES = ("theta", "alpha")
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class DHCell:
     """A cell of a table of DH rows, with the number that it holds and the one that would explain the poses."""
 
     #: The row's joint.
@@ -103,6 +107,8 @@ class Cell:
     stated: float
     #: What it should hold.
     wanted: float
+    #: Line of the table; 0: the rows are of no table.
+    line: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,10 +120,10 @@ class Change:
     #: The mistake.
     why: Why
     #: The cells that are changed; none if whole rows or columns are.
-    cells: tuple[Cell, ...] = ()
+    cells: tuple[DHCell, ...] = ()
     #: Numbers that the measured poses determine.
     free: int = 0
-    #: Numbers and names of the reason, cells and errors aside.
+    #: Numbers and names of the mistake's reason; of cells, these are its values instead.
     values: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -126,13 +132,14 @@ class Change:
         return sum(abs(cell.stated) < _SAME for cell in self.cells), len(self.cells)
 
     @property
-    def reason_values(self) -> dict[str, Any]:
-        """The values of the reason, without errors: cells with what cannot be told from them."""
+    def mistake(self) -> Reason:
+        """The mistake as a reason, without errors: of cells, these and what has the same effect."""
         if not self.cells:
-            return self.values
+            return Reason.of(self.why, **self.values)
         places = {_elsewhere(self.rows, cell) for cell in self.cells}
         elsewhere = places.pop() if len(places) == 1 else ""  # of two places it would be two
-        return {"cells": [asdict(cell) for cell in self.cells], "elsewhere": elsewhere}
+        cells = [asdict(cell) for cell in self.cells]
+        return Reason.of(self.why, cells=cells, elsewhere=elsewhere)
 
     def robot(self) -> Robot:
         """Return the robot of the changed rows, whose joints are in their order."""
@@ -143,7 +150,7 @@ class Change:
         return q[:, [names.index(name) for name in self.rows.joint_names]]
 
     def makes_same_robot(self, other: Change) -> bool:
-        """Return whether the rows of another change are the same robot, told otherwise."""
+        """Return whether the rows of another change are the same robot, stated in another way."""
         names = self.rows.joint_names
         q = np.linspace(-1.0, 1.0, 5)[:, None] * np.arange(1.0, 1.0 + len(names))
         poses = other.rows.poses(other.in_order(q, names))
@@ -151,7 +158,7 @@ class Change:
 
 
 def stated_rows(robot: Robot, q: Array) -> DHRobot | None:
-    """Return the DH rows of a robot; None if it was not made from rows, or is not the robot of its rows any more.
+    """Return the DH rows of a robot; None if it was not made from rows, or is no longer the robot of its rows.
 
     Args:
         robot: The robot. A corrected one still has the rows of the nominal one, and base or tip may be other links.
@@ -164,49 +171,30 @@ def stated_rows(robot: Robot, q: Array) -> DHRobot | None:
     return dh if np.allclose(dh.poses(q), robot.poses(q), rtol=0.0, atol=_SAME) else None
 
 
-def try_changes(dh: DHRobot, setup: Setup, rows: Rows) -> list[tuple[Array, Change]]:
-    """Try every change of a robot's rows, and each number of them at the value that fits best.
+def find_wrong_rows(trials: DHTrials) -> Reason | None:
+    """Find the mistake in DH rows that poses of a controller show, which agree with the right ones except for rounding.
 
     Args:
-        dh: The rows as they are stated.
-        setup: Frames and targets; what is given counts as given, all else is registered.
-        rows: N rows of points or poses, with the joints of ``dh`` in their order.
-
-    Returns:
-        Each change, with the rms errors that it leaves: of positions [m], and of orientations [rad], 0 of points. If a
-        frame is sought, which takes long, only the best ones on a screen of positions.
-    """
-    tried = _Tried(dh, setup.with_given_fixed(), rows)
-    of_rows = itertools.chain(*(changes_of(dh) for changes_of in _CHANGES))
-    changes = [*of_rows, *tried.with_a_number(), *tried.with_lengths()]
-    if any(tried.setup.unknown):
-        changes = sorted(changes, key=tried.position_error)[:_REGISTERED]
-    return [(tried.errors(change), change) for change in changes]
-
-
-def find_wrong_rows(dh: DHRobot, setup: Setup, rows: Rows) -> Reason | None:
-    """Find the mistake in DH rows that poses of a controller show, which agree with the right ones but for rounding.
-
-    Args:
-        dh: The rows as they are stated.
-        setup: Frames and targets; what is given counts as given, all else is registered.
-        rows: N rows of points or poses, with the joints of ``dh`` in their order.
+        trials: The rows as they are stated, and the poses.
 
     Returns:
         The mistake, with the errors as given and with it undone [m] and [rad], and others that explain the rows as
-        well; None if the rows agree as they are, or no change explains them but for rounding.
+        well; None if the rows agree as they are, or no change explains them except for rounding.
     """
+    dh, rows = trials.dh, trials.rows
     limit = _rounding(dh)
-    places = setup.with_given_fixed()
-    given = _Tried(dh, places, rows).errors(Change(dh, Why.DH_CELLS))
-    is_known = places.count == 0 and bool(np.all(rows.where(lambda kind: kind.orientation)))
-    if np.all(given < (limit / _FAR_BETTER if is_known else _PLAUSIBLE)):
+    given = trials.errors(Change(dh, Why.DH_CELLS))
+    has_orientations = rows.where(lambda kind: kind.orientation)
+    # Errors of a frame or a target that is registered may be those of an arm.
+    is_known = trials.setup.count == 0 and bool(np.all(has_orientations))
+    if np.all(given < (limit / FAR_BETTER if is_known else (PLAUSIBLE, PLAUSIBLE_ANGLE))):
         return None
 
     found = []
-    for errors, change in try_changes(dh, setup, rows):
+    for errors, change in trials.tried:
         error = float(np.max(errors / limit))
-        share = _FAR_BETTER / (1 + change.free)
+        # What a free number explains has to be far more.
+        share = FAR_BETTER / (1 + change.free)
         if error <= min(1.0, share * np.max(given / limit)):
             found.append((error, errors, change))
     if not found:
@@ -215,25 +203,25 @@ def find_wrong_rows(dh: DHRobot, setup: Setup, rows: Rows) -> Reason | None:
     fewest = min(change.free for _, _, change in found)
     found = [entry for entry in found if entry[2].free == fewest]
     smallest = min(error for error, _, _ in found)
-    as_good = [
-        entry for entry in found if entry[0] <= max(_AS_GOOD * smallest, smallest + _OF_ROUNDING)
-    ]
+    equal = max(AS_GOOD * smallest, smallest + _OF_ROUNDING)
+    as_good = [entry for entry in found if entry[0] <= equal]
     as_good.sort(key=lambda entry: (*entry[2].rank, entry[0]))
 
-    names = ("m", "rad") if np.any(rows.where(lambda kind: kind.orientation)) else ("m",)
-    told = [
-        {f"error_{name}": float(errors[k]) for k, name in enumerate(names)} | change.reason_values
-        for _, errors, change in as_good
-    ]
-    best = as_good[0][2]
-    # The same robot, told otherwise, is no other explanation.
+    names = ("m", "rad") if np.any(has_orientations) else ("m",)
+    mistakes = []
+    for _, errors, change in as_good:
+        sizes = {f"error_{name}": float(errors[k]) for k, name in enumerate(names)}
+        mistakes.append(change.mistake.with_values(**sizes))
+    _, _, best = as_good[0]
+    given_sizes = {f"given_{name}": float(given[k]) for k, name in enumerate(names)}
+    # The same robot, stated in another way, is not another explanation.
     others = [
-        {"code": change.why.value, **values}
-        for (_, _, change), values in zip(as_good[1:], told[1:], strict=True)
+        mistake.entry
+        for (_, _, change), mistake in zip(as_good[1:], mistakes[1:], strict=True)
         if not change.makes_same_robot(best)
     ]
-    values = {f"given_{name}": float(given[k]) for k, name in enumerate(names)} | told[0]
-    return Reason.of(best.why, **values, **({"others": others} if others else {}))
+    reason = mistakes[0].with_values(**given_sizes)
+    return reason.with_others(others)
 
 
 def _rounding(dh: DHRobot) -> Array:
@@ -275,7 +263,8 @@ def _cells_of_a_column(dh: DHRobot) -> Iterator[Change]:
 def _exchanged_rows(dh: DHRobot) -> Iterator[Change]:
     """Yield the rows with two of them exchanged: with their joints, or their numbers alone."""
     for (i, first), (j, second) in itertools.combinations(enumerate(dh.table.rows), 2):
-        values = {"first": first.joint, "second": second.joint}
+        lines = [first.line, second.line]
+        values = {"first": first.joint, "second": second.joint, "lines": lines}
         yield Change(_with_rows(dh, {i: second, j: first}), Why.DH_ROWS_EXCHANGED, values=values)
         if first.prismatic == second.prismatic:
             numbers = {
@@ -296,9 +285,9 @@ def _other_convention(dh: DHRobot) -> Iterator[Change]:
 
 
 def _other_arms(dh: DHRobot) -> Iterator[Change]:
-    """Yield the arms of Universal Robots, if the rows have their angles; of a slip in one or two cells, these cells.
+    """Yield the rows of each arm of Universal Robots, if the stated ones have its angles.
 
-    Arms differ in more lengths than two.
+    If only one or two lengths differ, these cells are named, and not the arm: arms differ in more.
     """
     rows = dh.table.rows
     if dh.table.convention == MODIFIED:
@@ -320,23 +309,17 @@ def _other_arms(dh: DHRobot) -> Iterator[Change]:
 
 def _other_units(dh: DHRobot) -> Iterator[Change]:
     """Yield the rows in which a column, or both columns of lengths or of angles, are in another unit than stated."""
-    units = [
-        *(
-            (columns, unit, "mm", factor)
-            for columns in (("a",), ("d",), _LENGTHS)
-            for unit, factor in _LENGTH_UNITS
-        ),
-        *(
-            (columns, "rad", "deg", np.degrees(1.0))
-            for columns in (("alpha",), ("theta",), _ANGLES)
-        ),
-    ]
-    for columns, unit, header, factor in units:
+    columns_and_units = (
+        *itertools.product((("a",), ("d",), _LENGTHS), _LENGTH_UNITS),
+        *itertools.product((("alpha",), ("theta",), _ANGLES), _ANGLE_UNITS),
+    )
+    for columns, (unit, header, factor) in columns_and_units:
         scaled = {
             i: replace(row, **{column: factor * getattr(row, column) for column in columns})
             for i, row in enumerate(dh.table.rows)
         }
-        values = {"what": f"numbers of {' and '.join(columns)}", "unit": unit, "header": header}
+        what = f"numbers of {' and '.join(columns)}"
+        values = {"what": what, "factor": factor, "unit": unit, "header": header}
         yield Change(_with_rows(dh, scaled), Why.DH_UNIT, values=values)
 
 
@@ -354,16 +337,28 @@ _CHANGES: tuple[Callable[[DHRobot], Iterator[Change]], ...] = (
 # Changes with free numbers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Tried:
-    """Rows that changes of DH rows are compared with."""
+@dataclass(frozen=True, eq=False)
+class DHTrials:
+    """Trials of every change of a robot's DH rows, and of each number of them at the value that fits best."""
 
     #: The DH rows as they are stated.
     dh: DHRobot
-    #: Frames and targets, with what is registered.
+    #: Frames and targets; what was given is held, all else is registered.
     setup: Setup
     #: N rows of points or poses, with the joints of ``dh`` in their order.
     rows: Rows
+
+    @cached_property
+    def tried(self) -> list[tuple[Array, Change]]:
+        """Each change, with the rms errors that it leaves: positions [m] and orientations [rad], 0 of points.
+
+        If a frame is sought, which takes long, only the best ones on a screen of positions.
+        """
+        of_rows = itertools.chain(*(changes_of(self.dh) for changes_of in _CHANGES))
+        changes = [*of_rows, *self.with_a_number(), *self.with_lengths()]
+        if any(self.setup.unknown):
+            changes = sorted(changes, key=self.position_error)[:REGISTERED]
+        return [(self.errors(change), change) for change in changes]
 
     def errors(self, change: Change) -> Array:
         """Return the rms errors that a change leaves: positions [m] and orientations [rad], 0 of points, shape (2,)."""
@@ -380,23 +375,26 @@ class _Tried:
         """Yield the rows with each number at the value that fits best."""
         if self.rows.count - self.setup.count - 1 < _LEFT_OVER:
             return
-        for i, row in enumerate(self.dh.table.rows):
+        rows = self.dh.table.rows
+        has_offsets = any(row.offset for row in rows)
+        for i, row in enumerate(rows):
+            # The zero of a joint is the offset, if rows have offsets and this one has no theta.
+            by_offset = has_offsets and not row.prismatic and abs(row.theta) <= _SAME
             for column in (*_LENGTHS, *_ANGLES):
-                cell = column
-                if column == "theta" and not row.prismatic:
-                    cell = _column_of_zero(self.dh, i)
+                cell = "offset" if by_offset and column == "theta" else column
                 number = self._best_number(i, cell)
                 if number is not None:
                     yield _at_a_likely_value(self.dh, i, cell, number)
 
     def _best_number(self, i: int, column: str) -> float | None:
-        """Return the number [m or rad] of a cell that fits best, row from 0; None if it is stated or nothing tells it.
+        """Return the number [m or rad] of a cell that fits best, row from 0; None if it is stated or not determined.
 
-        Near its least value s is a parabola: three values give the next number, and closer ones a better one.
+        Near its least value the mean square is a parabola: three values give the next number, closer ones a better one.
         """
         lever, stated = _lever(self.dh), getattr(self.dh.table.rows[i], column)
 
-        def s(number: float) -> float:
+        def square(number: float) -> float:
+            """Return the mean square of the errors with a number, of positions in levers, of orientations in rad."""
             change = _with_cells(self.dh, [(i, column, number)])
             if any(self.setup.unknown):
                 return (self.position_error(change) / lever) ** 2
@@ -404,19 +402,17 @@ class _Tried:
             return float((position / lever) ** 2 + (2.0 * np.sin(0.5 * angle)) ** 2)
 
         if column in _LENGTHS:
-            step, starts = _LENGTH_STEP * lever, [stated, -stated, 0.0]
+            unit, step = lever, _LENGTH_STEP * lever
+            starts = [stated, -stated, 0.0]
         else:
-            step = _ANGLE_STEP
+            unit, step = 1.0, _ANGLE_STEP
             starts = [stated + k * step for k in range(round(2.0 * np.pi / step))]
-        number = min(dict.fromkeys(starts), key=s)
+        number = min(dict.fromkeys(starts), key=square)
         for _ in range(_ROUNDS):
-            before, here, after = (s(number + change) for change in (-step, 0.0, step))
+            before, here, after = (square(number + change) for change in (-step, 0.0, step))
             curvature = before - 2.0 * here + after
             # What registered places make up for has no curvature.
-            if (
-                curvature
-                < _LEAST_CURVATURE * (step if column not in _LENGTHS else step / lever) ** 2
-            ):
+            if curvature < _LEAST_CURVATURE * (step / unit) ** 2:
                 return None
             number += 0.5 * step * (before - after) / curvature
             step *= _FINER
@@ -492,7 +488,7 @@ def _with_cells(dh: DHRobot, cells: Sequence[tuple[int, str, float]], *, free: i
         stated = float(getattr(rows[i], column))
         slides = column == "offset" and rows[i].prismatic
         unit = "" if column == "direction" else "m" if column in _LENGTHS or slides else "rad"
-        changed.append(Cell(rows[i].joint, column, unit, stated, float(number)))
+        changed.append(DHCell(rows[i].joint, column, unit, stated, float(number), rows[i].line))
         cell: dict[str, Any] = {column: number}
         rows[i] = replace(rows[i], **cell)
     return Change(_with_rows(dh, rows), Why.DH_CELLS, tuple(changed), free)
@@ -504,19 +500,13 @@ def _with_rows(dh: DHRobot, rows: Mapping[int, DHRow]) -> DHRobot:
     return replace(dh, table=replace(dh.table, rows=every))
 
 
-def _column_of_zero(dh: DHRobot, i: int) -> str:
-    """Return the column of the zero of row i, from 0: ``offset`` if rows have offsets and this one no theta."""
-    is_of_theta = abs(dh.table.rows[i].theta) > _SAME
-    return "theta" if is_of_theta or not any(row.offset for row in dh.table.rows) else "offset"
-
-
 def _turned(angle: float) -> float:
     """Return an angle in (-pi, pi], [rad]."""
     return float(np.pi - (np.pi - angle) % (2.0 * np.pi))
 
 
-def _elsewhere(dh: DHRobot, cell: Cell) -> str:
-    """Return what a wrong cell cannot be told from: the controller's ``base`` or ``tool``, the ``joint``, or none."""
+def _elsewhere(dh: DHRobot, cell: DHCell) -> str:
+    """Return what has the effect of a wrong cell: the controller's ``base`` or ``tool``, the ``joint``, or nothing."""
     rows, is_modified = dh.table.rows, dh.table.convention == MODIFIED
     along_z = cell.column in ("theta", "offset", "d")
     if cell.column == "direction":

@@ -81,6 +81,11 @@ class ValidationErrors:
         return self.fall and self.after.leading.rms > _FALLS * self.before.leading.rms
 
     @property
+    def show_a_gain(self) -> bool:
+        """True if there are validation rows and the error falls on them by more than next to nothing."""
+        return self.exist and self.fall and not self.fall_little
+
+    @property
     def values(self) -> dict[str, Any]:
         """Values of a reason that compares the errors of both robots on validation rows.
 
@@ -252,11 +257,11 @@ class Evidence:
 
     @property
     def unpredictable(self) -> bool:
-        """True if the error expected over the joint limits is several times the nominal one."""
-        return self._expected_but_scale > _FAR_MORE * self.before.leading.rms
+        """True if the error expected over the joint limits, without the scale's, is several times the nominal one."""
+        return self._expected_without_scale > _FAR_MORE * self.before.leading.rms
 
     @property
-    def _expected_but_scale(self) -> float:
+    def _expected_without_scale(self) -> float:
         """The error expected over the joint limits if the instrument has no scale error [m]."""
         return float(np.sqrt(max(self.expected**2 - self.by_scale**2, 0.0)))
 
@@ -293,7 +298,7 @@ class Evidence:
     @property
     def scale_decides(self) -> bool:
         """True if the gain is not proven, but would be if the instrument had no scale error."""
-        exact = replace(self, expected=self._expected_but_scale, by_scale=0.0)
+        exact = replace(self, expected=self._expected_without_scale, by_scale=0.0)
         return exact.proven and not self.proven
 
     # Flagged rows

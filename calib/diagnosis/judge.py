@@ -36,8 +36,8 @@ _TOO_FAR = 0.1
 #: A geometry that would leave far less needs care if more than this share of the error remains.
 _LACKING = 0.2
 
-#: Another model whose error is less than this share represents errors that this one lacks.
-_FAR_LESS = 0.6
+#: Another model whose error or noise is less than this share represents errors that this one lacks.
+FAR_LESS = 0.6
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -56,11 +56,12 @@ def judge(evidence: Evidence) -> Verdict:
     # Errors that no arm has: the input must be wrong, and little else about such a fit means anything.
     far = _is_absurd(before) and evidence.largest > _TOO_FAR
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
+    noisy = absurd_noise(evidence.noise)
     absurd = [
         *_applicable(
             (far, Reason.of(Why.PARAMETER_ABSURD, before=before, largest=evidence.largest))
         ),
-        *absurd_noise(evidence.noise),
+        *([] if noisy is None else [noisy]),
         *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
     ]
     if absurd:
@@ -82,7 +83,10 @@ def judge(evidence: Evidence) -> Verdict:
     )
     improvements += _doubts(evidence, Role.IMPROVE)
     if evidence.scale_decides and not against:
-        care.append(_scale(evidence))
+        # What the scale does over the joint limits, and its share of the nominal robot's error there.
+        effect = evidence.by_scale
+        share = effect / max(evidence.expected_of_nominal, effect)
+        care.append(Reason.of(Why.SCALE_HIDDEN, scale=evidence.scale, effect_m=effect, share=share))
     elif not evidence.proven and not against:
         care += improvements
         improvements = []
@@ -96,10 +100,9 @@ def judge(evidence: Evidence) -> Verdict:
 
     # The gain on held-out and on validation rows.
     held_out = {**_both(evidence), "outliers": evidence.flagged}
-    gained = validation.exist and validation.fall and not validation.fall_little
     gains = _applicable(
         (evidence.gain > 0.0, Reason.of(Why.GAIN, **held_out)),
-        (gained, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
+        (validation.show_a_gain, Reason.of(Why.VALIDATION_GAIN, **validation.values)),
     )
     # Held-out errors hang on a row that alone determines an error of the arm: no other row can predict it.
     hanging = [reason for reason in against if reason.why.role is Role.AGAINST]
@@ -111,14 +114,14 @@ def judge(evidence: Evidence) -> Verdict:
     return Verdict(use, (*wrong_input, *alone, *hanging, *care, *others))
 
 
-def absurd_noise(noise: Mapping[str, float]) -> list[Reason]:
-    """List the reason that no arm or instrument has such noise, which needs no held-out rows; empty if one may have it.
+def absurd_noise(noise: Mapping[str, float]) -> Reason | None:
+    """Return the reason that no arm or instrument has such noise, which needs no held-out rows; None if one may have.
 
     Args:
         noise: Standard deviation of one scalar as estimated, by the symbol of its unit [m], [rad], [px].
     """
     absurd = {f"noise_{unit}": std for unit, std in noise.items() if _exceeds(std, unit)}
-    return [Reason.of(Why.NOISE_ABSURD, **absurd)] if absurd else []
+    return Reason.of(Why.NOISE_ABSURD, **absurd) if absurd else None
 
 
 def _against(evidence: Evidence) -> list[Reason]:
@@ -139,9 +142,9 @@ def _against(evidence: Evidence) -> list[Reason]:
     much_expected = evidence.unpredictable and evidence.remains_everywhere > REMAINS
     elsewhere = much_expected and not good_where_measured
 
-    # Unless validation rows show that the corrected URDF is better.
-    shown = validation.exist and validation.fall and not validation.fall_little
-    hopeless = unproven and _has_better(evidence) and not (shown and evidence.gain > 0.0)
+    # Validation rows may show that the corrected URDF is better.
+    shown = validation.show_a_gain and evidence.gain > 0.0
+    hopeless = unproven and _has_better(evidence) and not shown
 
     both = _both(evidence)
     worse = replace(_many_outliers(evidence), why=Why.WORSE_WITH_OUTLIERS)
@@ -212,7 +215,7 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
 
 
 def _is_another_measurement(evidence: Evidence, held_out: Errors) -> bool:
-    """Return whether errors on validation rows are far beyond some on held-out rows, in any unit."""
+    """Return whether errors on validation rows are far beyond either robot's on held-out rows, in any unit."""
     fresh = evidence.validation.after
     return any(
         fresh[unit].rms > _ANOTHER_MEASUREMENT * held_out[unit].rms > 0.0
@@ -265,16 +268,6 @@ def _both(evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _scale(evidence: Evidence) -> Reason:
-    """Make the reason that the instrument's scale is not known well enough: its size, and effect over the limits [m].
-
-    With it is stated which share of the nominal robot's error the effect is.
-    """
-    share = evidence.by_scale / max(evidence.expected_of_nominal, evidence.by_scale)
-    values = {"scale": evidence.scale, "effect_m": evidence.by_scale, "share": share}
-    return Reason.of(Why.SCALE_HIDDEN, **values)
-
-
 def _many_outliers(evidence: Evidence) -> Reason:
     """Make the reason that many rows are flagged, with both robots' errors on held-out rows that include them."""
     return Reason.of(
@@ -295,7 +288,7 @@ def _has_better(evidence: Evidence) -> bool:
     """Return whether the non-geometric model, if there is one, has far smaller errors on held-out rows."""
     if evidence.non_geometric is None:
         return False
-    return evidence.non_geometric[1].leading.rms < _FAR_LESS * evidence.after.leading.rms
+    return evidence.non_geometric[1].leading.rms < FAR_LESS * evidence.after.leading.rms
 
 
 def _better(why: Why, evidence: Evidence) -> Reason:

@@ -16,9 +16,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.basics.arrays import Array, Integers
-from calib.diagnosis.augmented_fit import PREDICTS, UNLIKELY, estimate_jointly, gain_on_blocks
+from calib.diagnosis.augmented_fit import (
+    FEWEST_FREEDOM,
+    PREDICTS,
+    UNLIKELY,
+    estimate_jointly,
+    gain_on_blocks,
+)
+from calib.diagnosis.computed import ROUNDING_NOISE
 from calib.diagnosis.reasons import Reason, Why
-from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, displacements_of
+from calib.diagnosis.residual_patterns import displacements_of
 from calib.fit.estimate.fitting import Fitted
 from calib.numerics.errors import rms
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any
@@ -223,6 +223,27 @@ class Reason:
     def code(self) -> str:
         """The code, as the result file has it: ``"nothing_to_gain"``."""
         return str(self.why.value)
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """The code and the values, as a value of another reason has them."""
+        return {"code": self.code, **self.values}
+
+    def with_values(self, **values: Any) -> Reason:  # noqa: ANN401
+        """Return the reason with further values before its own; those that it has stay.
+
+        Args:
+            **values: Numbers, in SI units, and names.
+        """
+        return Reason(self.why, {**values, **self.values})
+
+    def with_others(self, others: Sequence[Mapping[str, Any]]) -> Reason:
+        """Return the reason with other mistakes that explain the rows as well, as its value ``"others"``.
+
+        Args:
+            others: The mistakes as `entry` has them; if there are none, the reason has no such value.
+        """
+        return Reason(self.why, {**self.values, "others": list(others)}) if others else self
 
 
 @dataclass(frozen=True, slots=True)

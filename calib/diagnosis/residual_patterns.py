@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
-from calib.diagnosis.augmented_fit import PREDICTS, estimate_jointly, gain_on_blocks
+from calib.diagnosis.augmented_fit import (
+    FEWEST_FREEDOM,
+    PREDICTS,
+    estimate_jointly,
+    gain_on_blocks,
+    nominal_under,
+)
+from calib.diagnosis.computed import ROUNDING_NOISE, SOME_VALUES, largest_step
 from calib.diagnosis.patterns import (
     Explained,
     Stack,
@@ -28,14 +35,6 @@ from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stations import SOME_FLAGGED
 from calib.fit.estimate.fitting import Fitted
 from calib.model.error_model import ErrorModel
-from calib.model.kinematics import Kinematics
-from calib.model.parameter_sets import error_model
-
-#: Noise below this is rounding, in which any test finds patterns [m, rad].
-ROUNDING_NOISE = 1e-6
-
-#: Degrees of freedom of a fit below which no pattern is looked for.
-FEWEST_FREEDOM = 10.0
 
 #: A direction was fitted if an error of the expected size moves the scalars by so many standard deviations.
 _FITTED = 1.0
@@ -45,9 +44,6 @@ _STEPS = np.array([10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01])
 
 #: Values are multiples of a step if they are so within this share of it.
 _ON_GRID = 0.01
-
-#: The fewest different values of a joint that can show a grid.
-_SOME_VALUES = 4
 
 #: Rounding matters if it explains more than this share of the variance of the residuals.
 _LEAST_ROUNDED = 0.5
@@ -189,12 +185,9 @@ def displacements_of(fitted: Fitted) -> tuple[ErrorModel, Array]:
         The model of these p displacements, and the derivatives, shape (N, D, p), in the units of the rows' channels: of
         the nominal robot, with frames and targets at the solution.
     """
-    rows, robot, setup = fitted.estimate.problem.rows, fitted.task.robot, fitted.estimated_setup()
-    names = fitted.setup.target_names
-    frames = dict.fromkeys(fitted.setup.frame_unknowns, ())
-    model = error_model(robot, "zeros", frame=frames, target=names, targets=names)
-    nominal = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-    return model, rows.derivative(nominal.linearised(np.zeros(len(model)), rows.samples))
+    rows, nominal = fitted.estimate.problem.rows, nominal_under("zeros", fitted)
+    zero = np.zeros(len(nominal.model))
+    return nominal.model, rows.derivative(nominal.linearised(zero, rows.samples))
 
 
 def _whiten(fitted: Fitted, values: Array, weights: Array) -> Array:
@@ -272,7 +265,11 @@ def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
     joints = residuals.joints
     grids, effects = [], []
     for joint in joints:
-        grids.append(_grid(residuals.q[:, joint], slides=residuals.slides(joint)))
+        q, steps = residuals.q[:, joint], _STEPS / 10.0
+        if not residuals.slides(joint):
+            steps = np.concatenate([np.radians(_STEPS), steps])
+        varies = len(np.unique(q)) >= SOME_VALUES
+        grids.append(largest_step(q, steps, _ON_GRID) if varies else 0.0)
         effects.append(np.mean(residuals.along(joint) ** 2))
     # A value rounded to a step has the variance step^2 / 12.
     rounding = np.array(grids) ** 2 / 12.0 * effects
@@ -283,25 +280,6 @@ def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
         grid = {"by_m" if residuals.slides(joint) else "by_rad": float(grids[worst])}
         name = residuals.name_of(joint)
         yield Reason.of(Why.JOINTS_COARSE, joint=name, share=min(share, 1.0), **grid)
-
-
-def _grid(q: Array, *, slides: bool) -> float:
-    """Find the largest usual step of which a joint's values (N,), [rad] or [m], are multiples, in their unit.
-
-    0 if there is none, or if the joint has too few different values. ``slides`` is True for a prismatic joint.
-    """
-    if len(np.unique(q)) < _SOME_VALUES:
-        return 0.0
-    steps = _STEPS / 10.0
-    if not slides:
-        steps = np.concatenate([np.radians(_STEPS), steps])
-    largest = 0.0
-    for size in steps:
-        multiples = q / size
-        off_grid = np.abs(multiples - np.round(multiples))
-        if np.all(off_grid < _ON_GRID):
-            largest = max(largest, float(size))
-    return largest
 
 
 def _lagging_joints(residuals: Residuals) -> Iterator[Reason]:

@@ -56,31 +56,28 @@ _NOTHING = 2.0
 #: That which they have at least if they are right and say something about so many poses.
 _TELLING = 10.0
 
-#: The error that is expected at a new point contains a scale error that one in ten to twenty exceeds. It is one number
-#: that displaces all points, and would exceed its root mean square in every third case.
+#: Probability of `Scale.bound` on either side. A scale error is one number that displaces all points, and would exceed
+#: its root mean square in every third case: the error that is expected at a new point contains this larger one.
 _SURE = 0.95
 
 #: A scale error agrees with the instrument's if it is within so many standard deviations.
 _NO_SURPRISE = 2.0
 
 
-def contradicted_values(
-    fitted: Fitted, scale: Scale | None, *, frame_aligned: bool = False
-) -> Iterator[Reason]:
+def contradicted_values(fitted: Fitted, scale: Scale | None) -> Iterator[Reason]:
     """Find stated values that the rows contradict, and covariances that explain nothing.
 
     Args:
         fitted: A fit. Unless its prior standard deviations were estimated from the data, only the covariances of poses
             are examined.
         scale: The scale error of the instrument, as `instrument_scale` estimates it.
-        frame_aligned: Whether the user states that a known measurement frame was aligned with the base.
 
     Yields:
         A reason for each.
     """
     task = fitted.task
     if task.has_weights_and_priors and task.cell.priors.source == "data":
-        base = None if frame_aligned else motion_of_base(fitted)
+        base = None if task.cell.frame_aligned else motion_of_base(fitted)
         if (
             base is not None
             and base.p < UNLIKELY
@@ -252,6 +249,11 @@ class Scale:
     def size(self) -> float:
         """Root mean square of the share, by the prior and the rows."""
         return float(np.sqrt(self.mean**2 + self.variance))
+
+    @property
+    def change(self) -> Array:
+        """Change of the parameters by the scale error, rms, shape (p,), in their units."""
+        return self.size * self.growth
 
     @property
     def bound(self) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from calib.basics.arrays import Array, Mask
+from calib.diagnosis.augmented_fit import FEWEST_FREEDOM
 from calib.diagnosis.patterns import range_of
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
@@ -20,9 +21,6 @@ from calib.fit.registration.labels import joined_stations
 from calib.fit.selection.folds import seen_only_by
 from calib.numerics.likelihood import GaussianPriors
 from calib.numerics.repeats import pose_means
-
-#: Degrees of freedom of a fit below which its stations are not compared: its noise is not known well enough.
-_FEWEST_FREEDOM = 10.0
 
 #: Probability that stations that do not differ give any finding; half a dozen stations are compared rarely.
 _FALSE_ALARM = 0.01
@@ -56,7 +54,7 @@ def disagreeing_stations(fitted: Fitted) -> tuple[Reason, ...]:
     """
     estimate, problem = fitted.estimate, fitted.estimate.problem
     station = joined_stations(problem.rows, fitted.task.distances)
-    if station.max() < 1 or estimate.freedom < _FEWEST_FREEDOM:
+    if station.max() < 1 or estimate.freedom < FEWEST_FREEDOM:
         return ()
 
     linear = problem.linear(estimate.x)

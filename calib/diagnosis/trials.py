@@ -1,7 +1,6 @@
 """Trials of other inputs: poses in place of images, corrected columns, and the errors that a robot has with them.
 
-A correction of a table's columns undoes a usual mistake: other joint values, points or orientations, with the code of
-the mistake and the values of its reason.
+A correction of a table's columns undoes a usual mistake: other joint values, points or orientations, with the mistake.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,7 +17,7 @@ from calib.basics.arrays import Array
 from calib.basics.units import UNITS
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.reasons import Why
+from calib.diagnosis.reasons import Reason, Why
 from calib.fit.registration.registration import register
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
@@ -28,8 +27,23 @@ from calib.numerics.errors import Errors
 from calib.robot.dh_rows import DHRobot
 from calib.robot.robot import Robot
 
-#: Other values of some columns, the code of the mistake, and the values of its reason.
-Correction: TypeAlias = tuple[Array, Why, dict[str, Any]]
+#: Other values of some columns, and the mistake that they undo, without errors.
+Correction: TypeAlias = tuple[Array, Reason]
+
+#: Nominal errors of positions below this need no other explanation than an uncalibrated arm [m].
+PLAUSIBLE = 0.02
+
+#: The same of orientations [rad].
+PLAUSIBLE_ANGLE = 0.1
+
+#: A mistake is named only if undoing it lowers the error to this share.
+FAR_BETTER = 0.2
+
+#: Explanations whose errors are within this factor cannot be distinguished: errors of an uncalibrated arm favour any.
+AS_GOOD = 1.5
+
+#: Trials that are registered after a screen of all: more than there are explanations as good as the best.
+REGISTERED = 12
 
 #: Factors between units of angles, which undo a wrong unit.
 _ANGLES = (float(np.degrees(1.0)), float(np.radians(1.0)))
@@ -135,13 +149,13 @@ def correct_columns(
     for i, (name, joint) in enumerate(zip(robot.joint_names, robot.inputs, strict=True)):
         column = np.arange(q.shape[1]) == i
         turns = joint.type != "prismatic"
-        yield i, (np.where(column, -q, q), Why.JOINTS_TURNED, {"joints": name})
+        yield i, (np.where(column, -q, q), Reason.of(Why.JOINTS_TURNED, joints=name))
         if turns:
             for shift in shift_zeros(name, i, q):
                 yield i, shift
         for factor in _ANGLES if turns else _LENGTHS:
-            values = {"what": f"values of '{name}'", **units_of(factor, units.get(name))}
-            yield i, (np.where(column, factor * q, q), Why.WRONG_UNIT, values)
+            wrong = wrong_unit(f"values of '{name}'", factor, units.get(name))
+            yield i, (np.where(column, factor * q, q), wrong)
 
 
 def correct_joints(robot: Robot, q: Array, units: Mapping[str, str]) -> Iterator[Correction]:
@@ -153,15 +167,15 @@ def correct_joints(robot: Robot, q: Array, units: Mapping[str, str]) -> Iterator
         units: Symbol of the unit of each column as it was read, by name; a column may be missing.
 
     Yields:
-        Readings, shape (N, m), in which one mistake is undone; the mistake's code; and the values of its reason.
+        Readings, shape (N, m), in which one mistake is undone, and the mistake.
     """
     names, count = robot.joint_names, len(robot.inputs)
     turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
     for i, j in itertools.combinations(range(count), 2):
         order = list(range(count))
         order[i], order[j] = j, i
-        yield q[:, order], Why.COLUMNS_SWAPPED, {"first": names[i], "second": names[j]}
-    yield q[:, ::-1], Why.COLUMNS_REVERSED, {}
+        yield q[:, order], Reason.of(Why.COLUMNS_SWAPPED, first=names[i], second=names[j])
+    yield q[:, ::-1], Reason.of(Why.COLUMNS_REVERSED)
 
     # The reading of a joint counts that of the one before it, or not as the cell states.
     for i in np.flatnonzero(turns[:-1] & turns[1:]).tolist():
@@ -174,38 +188,38 @@ def correct_joints(robot: Robot, q: Array, units: Mapping[str, str]) -> Iterator
             of_joints[:, i + 1] += (factor - stated) * q[:, i]
             readings = robot.readings(of_joints)
             if factor:
-                yield readings, Why.READINGS_COUPLED, {**values, "factor": factor}
+                yield readings, Reason.of(Why.READINGS_COUPLED, **values, factor=factor)
             else:
-                yield readings, Why.READINGS_NOT_COUPLED, values
+                yield readings, Reason.of(Why.READINGS_NOT_COUPLED, **values)
 
     stated_units = {units.get(name) for name, turn in zip(names, turns, strict=True) if turn}
     unit = stated_units.pop() if len(stated_units) == 1 else None
     for factor in _ANGLES:
-        values = {"what": "joint values", **units_of(factor, unit)}
-        yield np.where(turns, factor, 1.0) * q, Why.WRONG_UNIT, values
+        wrong = wrong_unit("joint values", factor, unit)
+        yield np.where(turns, factor, 1.0) * q, wrong
 
 
-def units_of(factor: float, stated: str | None) -> dict[str, Any]:
-    """Return the values of a wrong unit: the factor that undoes it, and both units if it is that between two units.
+def wrong_unit(what: str, factor: float, stated: str | None) -> Reason:
+    """Name values in a wrong unit: the factor that undoes it, and both units if it is that between two units.
 
     Args:
+        what: The values in words: ``"joint values"``.
         factor: Factor on values in SI units.
         stated: Symbol of the unit that they were read in; None if it is not known.
 
     Returns:
-        ``"factor"``; ``"unit"``, the true one; and ``"header"``, the stated one. The latter two are missing if no unit
-        of the same quantity is so many times the stated one: then the values were converted twice, or not at all,
-        before they were written.
+        The mistake, with ``"what"``; ``"factor"``; ``"unit"``, the true one; and ``"header"``, the stated one. The
+        latter two are missing if no unit of the same quantity is so many times the stated one: then the values were
+        converted twice, or not at all, before they were written.
     """
-    values: dict[str, Any] = {"factor": factor}
-    if stated is None:
-        return values
-    read = UNITS[stated]
-    for unit in UNITS.values():
-        is_true = np.isclose(unit.to_si, factor * read.to_si, rtol=_SAME_FACTOR, atol=0.0)
-        if unit.quantity == read.quantity and is_true:
-            values |= {"unit": unit.symbol, "header": stated}
-    return values
+    units = {}
+    if stated is not None:
+        read = UNITS[stated]
+        for unit in UNITS.values():
+            is_true = np.isclose(unit.to_si, factor * read.to_si, rtol=_SAME_FACTOR, atol=0.0)
+            if unit.quantity == read.quantity and is_true:
+                units = {"unit": unit.symbol, "header": stated}
+    return Reason.of(Why.WRONG_UNIT, what=what, factor=factor, **units)
 
 
 def shift_zeros(name: str, joint: int, q: Array) -> Iterator[Correction]:
@@ -217,12 +231,12 @@ def shift_zeros(name: str, joint: int, q: Array) -> Iterator[Correction]:
         q: Joint values of the rows, shape (N, m) [rad] or [m].
 
     Yields:
-        Joint values, shape (N, m), with the turn added to this joint's; the code of a wrong zero; and the values of its
-        reason: the turn [rad] and the joint's name.
+        Joint values, shape (N, m), with the turn added to this joint's; and the mistake, a wrong zero, with the turn
+        [rad] and the joint's name.
     """
     for turn in np.radians(_TURNS_DEG):
         offsets = turn * np.eye(q.shape[1])[joint]
-        yield q + offsets, Why.JOINT_ZERO, {"add_rad": float(turn), "joint": name}
+        yield q + offsets, Reason.of(Why.JOINT_ZERO, add_rad=float(turn), joint=name)
 
 
 def scale_column(name: str, joint: int, q: Array, factors: Array) -> Iterator[Correction]:
@@ -235,11 +249,11 @@ def scale_column(name: str, joint: int, q: Array, factors: Array) -> Iterator[Co
         factors: Factors on this joint's values, shape (F,).
 
     Yields:
-        For each factor the joint values, shape (N, m); the code; and the values of its reason.
+        For each factor the joint values, shape (N, m), and the mistake.
     """
     for factor in factors.tolist():
         scaled = q * np.where(np.arange(q.shape[1]) == joint, factor, 1.0)
-        yield scaled, Why.JOINT_FACTOR, {"joint": name, "factor": factor}
+        yield scaled, Reason.of(Why.JOINT_FACTOR, joint=name, factor=factor)
 
 
 def correct_points(points: Array, units: Mapping[str, str], *, turns: bool) -> Iterator[Correction]:
@@ -251,25 +265,23 @@ def correct_points(points: Array, units: Mapping[str, str], *, turns: bool) -> I
         turns: Whether their frame may turn freely: then every swap of two columns is a mirror, and so is every sign.
 
     Yields:
-        Points, shape (N, 3) [m], in which one mistake is undone; the mistake's code; and the values of its reason.
+        Points, shape (N, 3) [m], in which one mistake is undone, and the mistake.
     """
     of_axes = dict(zip("xyz", np.eye(3, dtype=bool), strict=True))
     if turns:
-        yield -points, Why.POINTS_MIRRORED, {}
+        yield -points, Reason.of(Why.POINTS_MIRRORED)
     else:
         for axis, order in {"x": [0, 2, 1], "y": [2, 1, 0], "z": [1, 0, 2]}.items():
             first, second = (other for other in "xyz" if other != axis)
-            yield points[:, order], Why.COLUMNS_SWAPPED, {"first": first, "second": second}
+            yield points[:, order], Reason.of(Why.COLUMNS_SWAPPED, first=first, second=second)
             signs = np.where(of_axes[axis], -1.0, 1.0)
-            yield points * signs, Why.SIGN_TURNED, {"column": axis}
+            yield points * signs, Reason.of(Why.SIGN_TURNED, column=axis)
 
     for factor in _LENGTHS:
-        values = units_of(factor, units.get("x"))
-        yield factor * points, Why.WRONG_UNIT, {"what": "points", **values}
+        yield factor * points, wrong_unit("points", factor, units.get("x"))
         for axis, of_axis in of_axes.items():
             scaled = points * np.where(of_axis, factor, 1.0)
-            values = units_of(factor, units.get(axis))
-            yield scaled, Why.WRONG_UNIT, {"what": f"values of '{axis}'", **values}
+            yield scaled, wrong_unit(f"values of '{axis}'", factor, units.get(axis))
 
 
 def correct_orientations(poses: Array) -> Iterator[Correction]:
@@ -279,16 +291,16 @@ def correct_orientations(poses: Array) -> Iterator[Correction]:
         poses: Position [m] and the nine entries of the rotation matrix, row after row, shape (N, 12).
 
     Yields:
-        Poses, shape (N, 12), with the same positions, in which one mistake is undone; the mistake's code; and the
-        values of its reason. The value ``"scalar"`` is where the scalar of the quaternions stands, ``"last"`` or
-        ``"first"``, if it was read from the other end.
+        Poses, shape (N, 12), with the same positions, in which one mistake is undone; and the mistake. Its value
+        ``"scalar"`` is where the scalar of the quaternions stands, ``"last"`` or ``"first"``, if it was read from the
+        other end.
     """
     given = Rotation.from_matrix(poses[:, 3:12].reshape(-1, 3, 3))
     wxyz = given.as_quat(scalar_first=True)
-    rotations: tuple[tuple[Rotation, Why, dict[str, Any]], ...] = (
-        (Rotation.from_quat(wxyz), Why.SCALAR_ELSEWHERE, {"scalar": "last"}),
-        (Rotation.from_quat(np.roll(wxyz, -2, 1)), Why.SCALAR_ELSEWHERE, {"scalar": "first"}),
-        (given.inv(), Why.ORIENTATIONS_INVERSE, {}),
+    rotations = (
+        (Rotation.from_quat(wxyz), Reason.of(Why.SCALAR_ELSEWHERE, scalar="last")),
+        (Rotation.from_quat(np.roll(wxyz, -2, 1)), Reason.of(Why.SCALAR_ELSEWHERE, scalar="first")),
+        (given.inv(), Reason.of(Why.ORIENTATIONS_INVERSE)),
     )
-    for R, why, values in rotations:
-        yield np.hstack([poses[:, :3], R.as_matrix().reshape(-1, 9)]), why, values
+    for R, mistake in rotations:
+        yield np.hstack([poses[:, :3], R.as_matrix().reshape(-1, 9)]), mistake

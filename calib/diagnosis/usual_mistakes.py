@@ -7,9 +7,8 @@ counts the other way is also looked for in images that fit: frames and zeros may
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,10 +17,15 @@ from calib.basics.arrays import Array, Integers
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
-from calib.diagnosis.dh_changes import find_wrong_rows, stated_rows, try_changes
+from calib.diagnosis.dh_changes import DHTrials, find_wrong_rows, stated_rows
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.screening import screened_errors
 from calib.diagnosis.trials import (
+    AS_GOOD,
+    FAR_BETTER,
+    PLAUSIBLE,
+    PLAUSIBLE_ANGLE,
+    REGISTERED,
     SIMPLE_FACTORS,
     TOLERANCE,
     Correction,
@@ -44,23 +48,10 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.parameter_sets import DIRECTIONS
-from calib.robot.dh_rows import DHRobot
 from calib.robot.robot import Robot
-
-#: Nominal errors below this need no other explanation than an uncalibrated arm [m].
-_PLAUSIBLE = 0.02
-
-#: Errors of orientations below this need no other explanation than an uncalibrated arm [rad].
-_PLAUSIBLE_ANGLE = 0.1
-
-#: A mistake is named only if undoing it lowers the error to this share.
-_FAR_BETTER = 0.2
 
 #: A mistake is named only if the error is at most this with it undone [m].
 _EXPLAINED = 0.05
-
-#: Explanations whose errors are within this factor cannot be told apart: errors of an uncalibrated arm may favour any.
-_AS_GOOD = 1.5
 
 #: Errors that differ by less are the same [m].
 _ROUNDING = 1e-6
@@ -80,9 +71,6 @@ _REACHES = (np.pi, np.pi, np.pi, 0.2, 0.2, 0.02, 0.002)
 #: Values that are tried in each range.
 _TRIED = 41
 
-#: Trials that are registered after a screen of all: more than there are explanations as good as the best.
-_REGISTERED = 12
-
 #: The least angle that the farthest reading of a joint turns it by, if its factor is sought [rad].
 _LEAST_TURN = 0.1
 
@@ -95,7 +83,7 @@ _SAME_FACTOR = 0.01
 #: Rounds in which a factor is sought: each twenty times as fine, the last one to 1e-5.
 _FACTOR_ROUNDS = 3
 
-#: The fewest rows whose order can be told wrong: some before the place and some after it.
+#: The fewest rows in whose order a mistake is found: some before the place and some after it.
 _FEWEST_ROWS_OF_ORDER = 8
 
 #: Places from which on measurements may be moved that are tried at first, evenly over a table.
@@ -165,10 +153,8 @@ class Trial:
     setup: Setup
     #: The rows, as points
     rows: Rows
-    #: The mistake
-    why: Why
-    #: Numbers and names of its reason, errors aside
-    values: dict[str, Any] = field(default_factory=dict)
+    #: The mistake, without errors
+    mistake: Reason
 
 
 def check_positions(robot: Robot, rows: Rows, source: str) -> None:
@@ -203,7 +189,7 @@ def frame_not_found(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
     """Name a frame that registration sought and did not find.
 
     A frame in the right place leaves the errors of an uncalibrated arm. If the best place leaves far larger ones, it is
-    a local minimum, or the robot or the table is wrong: the rows cannot tell which.
+    a local minimum, or the robot or the table is wrong: the rows do not show which.
 
     Args:
         robot: The nominal robot.
@@ -264,8 +250,10 @@ def find_usual_mistake(
     cell = _seen_cell(cell, table)
     poses, setup = rows_and_setup(robot, table, cell)
     rows = _as_points(poses)
+    given_places = setup.with_given_fixed()
     dh = stated_rows(robot, rows.joints)
-    wrong_rows = None if dh is None else find_wrong_rows(dh, setup, poses)
+    of_dh = None if dh is None else DHTrials(dh, given_places, poses)
+    wrong_rows = None if of_dh is None else find_wrong_rows(of_dh)
     if wrong_rows is not None:
         return wrong_rows
     given, _ = misfit(robot, setup, rows)
@@ -273,47 +261,49 @@ def find_usual_mistake(
     # Of a quarter turn the given numbers may be exchanged, or have other signs, as well.
     if turned is not None and not np.isclose(np.sin(2.0 * turned.values["add_rad"]), 0.0):
         return turned
-    if given < _PLAUSIBLE:
+    if given < PLAUSIBLE:
         return _orientation_mistake(robot, setup, poses)
 
     setups = list(_trials_of_setup(robot, cell, table, setup, poses))
     searches: list[Iterator[Trial]] = [
         itertools.chain(
             setups,
-            () if dh is None else _trials_of_dh_rows(dh, setup, poses),
+            () if of_dh is None else _trials_of_dh_rows(of_dh, setup),
             _trials_of_joints(robot, table, setup, rows),
             _trials_of_orders(robot, cell, whole if in_order is None else in_order),
-            _turned_joints(robot, setup, rows, _counts_of_turned_joints(robot, setup)),
+            _turned_joints(robot, setup, rows),
         ),
         _pairs(robot, table, setup, rows, setups),
     ]
-    # Where everything is given, as in what a controller shows of its rows, the orientations have to agree too.
-    given_places = setup.with_given_fixed()
+    # If everything is given, as in what a controller shows of its rows, the orientations have to agree too.
     all_given = dh is not None and given_places.count == 0
     explanations = [(False, turned.values["error_m"], turned)] if turned else []
     for trials in searches:
         for trial in trials:
             error, _ = misfit(trial.robot, trial.setup, trial.rows)
             weighted = trial.factor * error
-            largest = _PLAUSIBLE if trial.why is Why.TWO_MISTAKES else _EXPLAINED
-            far_better = weighted <= _FAR_BETTER * min(given, _spread(trial.rows.measured))
+            largest = PLAUSIBLE if trial.mistake.why is Why.TWO_MISTAKES else _EXPLAINED
+            # A robot that stands still is off by the rms distance of the points from their centre.
+            spread = float(np.sqrt(np.sum(np.var(trial.rows.measured, axis=0))))
+            far_better = weighted <= FAR_BETTER * min(given, spread)
             if error > largest or not far_better:
                 continue
-            held = all_given and trial.why is not Why.TARGET_ELSEWHERE
+            held = all_given and trial.mistake.why is not Why.TARGET_ELSEWHERE
             if held and _contradicts_orientations(replace(trial, setup=given_places), poses):
                 continue
-            reason = Reason.of(trial.why, given_m=given, error_m=error, **trial.values)
-            explanations.append((_contradicts_orientations(trial, poses), weighted, reason))
+            mistake = trial.mistake.with_values(error_m=error)
+            explanations.append((_contradicts_orientations(trial, poses), weighted, mistake))
         # One that leaves more than an uncalibrated arm has may be half of the truth.
-        if any(not c and r.values["error_m"] < _PLAUSIBLE for c, _, r in explanations):
+        if any(not c and r.values["error_m"] < PLAUSIBLE for c, _, r in explanations):
             break
-    return _choose(explanations) if explanations else None
+    return _choose(explanations).with_values(given_m=given) if explanations else None
 
 
 def _given_target_turned(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
     """Return the zero of the last joint with which the targets are where they were given, if they seem to be elsewhere.
 
-    The rows, which are points, cannot tell that zero from the target's place: with the target estimated, any zero fits.
+    For rows that are points, that zero and the target's place have the same effect: with the target estimated, any zero
+    fits.
     None if some target was not given, is where it was, or no turn by a round angle puts it there.
     """
     last = len(robot.inputs) - 1
@@ -322,34 +312,32 @@ def _given_target_turned(robot: Robot, setup: Setup, rows: Rows) -> Reason | Non
     fixed = replace(setup, target_unknown=np.zeros_like(setup.target_unknown))
     given, _ = misfit(robot, fixed, rows)
     found, _ = misfit(robot, _with_unknown_targets(setup), rows)
-    if given < _TARGET_MOVED or found > min(_FAR_BETTER * given, _PLAUSIBLE):
+    if given < _TARGET_MOVED or found > min(FAR_BETTER * given, PLAUSIBLE):
         return None
     trials = []
-    for joints, why, values in shift_zeros(robot.joint_names[last], last, rows.joints):
+    for joints, mistake in shift_zeros(robot.joint_names[last], last, rows.joints):
         error, _ = misfit(robot, fixed, with_joints(rows, joints))
-        trials.append(Reason.of(why, given_m=given, error_m=error, **values))
+        trials.append(mistake.with_values(given_m=given, error_m=error))
     best = min(trials, key=lambda reason: reason.values["error_m"])
-    limit = min(_FAR_BETTER * given, _AS_GOOD * found + _ROUND_TARGET)
+    limit = min(FAR_BETTER * given, AS_GOOD * found + _ROUND_TARGET)
     return best if best.values["error_m"] <= limit else None
 
 
 def _choose(explanations: Sequence[tuple[bool, float, Reason]]) -> Reason:
-    """Choose the explanation of the smallest weighted error, with those that the rows cannot tell from it.
+    """Choose the explanation of the smallest weighted error, with those that the rows cannot distinguish from it.
 
-    Each states whether the orientations of the rows speak against it, its weighted error [m], and the mistake. The
-    value ``"others"`` lists codes and values of those as good, without the error as given, which all share.
+    Each states whether the orientations of the rows speak against it, its weighted error [m], and the mistake.
     """
     best, *others = sorted(explanations, key=lambda explanation: explanation[:2])
-    contradicted, _, reason = best
-    limit = _AS_GOOD * reason.values["error_m"] + _ROUNDING
+    contradicted, _, mistake = best
+    limit = AS_GOOD * mistake.values["error_m"] + _ROUNDING
     as_good = []
     for other_contradicted, _, other in others:
         if other.values["error_m"] <= limit and other_contradicted == contradicted:
-            values = {name: value for name, value in other.values.items() if name != "given_m"}
-            as_good.append({"code": other.code, **values})
-    if not as_good:
-        return reason
-    return replace(reason, values={**reason.values, "others": as_good})
+            # The error as given is stated once.
+            values = {name: value for name, value in other.entry.items() if name != "given_m"}
+            as_good.append(values)
+    return mistake.with_others(as_good)
 
 
 def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
@@ -363,7 +351,7 @@ def _contradicts_orientations(trial: Trial, poses: Rows) -> bool:
     if not is_of_joints or not np.all(poses.where(lambda kind: kind.orientation)):
         return False
     _, angle = misfit(trial.robot, trial.setup, with_joints(poses, trial.rows.joints))
-    return angle > _PLAUSIBLE_ANGLE
+    return angle > PLAUSIBLE_ANGLE
 
 
 def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | None:
@@ -376,33 +364,29 @@ def _orientation_mistake(robot: Robot, setup: Setup, poses: Rows) -> Reason | No
     if not np.all(poses.where(lambda kind: kind.orientation)):
         return None
     _, given = misfit(robot, setup, poses)
-    if given < _PLAUSIBLE_ANGLE:
+    if given < PLAUSIBLE_ANGLE:
         return None
 
-    trials: list[tuple[Rows, Why, dict[str, Any]]] = []
-    for measured, why, values in correct_orientations(poses.measured):
-        trials.append((replace(poses, measured=measured), why, values))
+    trials: list[tuple[Rows, Reason]] = []
+    for measured, mistake in correct_orientations(poses.measured):
+        trials.append((replace(poses, measured=measured), mistake))
     q = poses.joints
     for i, joint in enumerate(robot.inputs):
         if joint.type == "prismatic":
             continue
         turned = with_joints(poses, q * (1.0 - 2.0 * np.eye(q.shape[1])[i]))
-        trials.append((turned, Why.ORIENTATIONS_JOINT_TURNED, {"joint": joint.name}))
-        for shifted, _, values in shift_zeros(joint.name, i, q):
-            trials.append((with_joints(poses, shifted), Why.ORIENTATIONS_JOINT_ZERO, values))
+        trials.append((turned, Reason.of(Why.ORIENTATIONS_JOINT_TURNED, joint=joint.name)))
+        for shifted, zero in shift_zeros(joint.name, i, q):
+            of_zero = Reason(Why.ORIENTATIONS_JOINT_ZERO, zero.values)
+            trials.append((with_joints(poses, shifted), of_zero))
 
     best, reason = np.inf, None
-    for changed, why, values in trials:
+    for changed, mistake in trials:
         position_error, error = misfit(robot, setup, changed)
-        if error < best and position_error < _PLAUSIBLE:
+        if error < best and position_error < PLAUSIBLE:
             best = error
-            reason = Reason.of(why, given_rad=given, error_rad=error, **values)
-    return reason if best < _FAR_BETTER * given else None
-
-
-def _spread(points: Array) -> float:
-    """Return the rms distance of points (N, 3) from their centre [m]: the error with a robot that stands still."""
-    return float(np.sqrt(np.sum(np.var(points, axis=0))))
+            reason = mistake.with_values(given_rad=given, error_rad=error)
+    return reason if best < FAR_BETTER * given else None
 
 
 def _seen_cell(cell: Cell, table: Measurements) -> Cell:
@@ -446,7 +430,7 @@ def _trials_of_setup(
     rows = _as_points(poses)
     free = _with_unknown_targets(setup)
     if not setup.estimate_target:
-        yield Trial(_PLAIN, robot, free, rows, Why.TARGET_ELSEWHERE)
+        yield Trial(_PLAIN, robot, free, rows, Reason.of(Why.TARGET_ELSEWHERE))
 
     # Points in the frame of another link that is fixed to the base, or in an unknown frame.
     links = robot.urdf.links
@@ -456,14 +440,14 @@ def _trials_of_setup(
             between = itertools.chain(*robot.urdf.chain(robot.base, link))
             if link != robot.base and fixed.issuperset(between):
                 other = robot.rebuilt(base=link)
-                yield Trial(_PLAIN, other, free, rows, Why.OTHER_BASE, {"link": link})
+                yield Trial(_PLAIN, other, free, rows, Reason.of(Why.OTHER_BASE, link=link))
         if len(rows) >= _FEWEST_ROWS_OF_FRAME:
             unknown = replace(free, unknown=(DIRECTIONS,) * len(setup.groups))
-            yield Trial(_FREE_FRAME, robot, unknown, rows, Why.OWN_FRAME)
+            yield Trial(_FREE_FRAME, robot, unknown, rows, Reason.of(Why.OWN_FRAME))
 
     turns = any(len(directions) == len(DIRECTIONS) for directions in setup.unknown)
-    for points, why, values in correct_points(rows.measured, table.units, turns=turns):
-        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), why, values)
+    for points, mistake in correct_points(rows.measured, table.units, turns=turns):
+        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), mistake)
 
     # Another link carries the target: one for each set of joints that the table has values of.
     tried = {frozenset(robot.joint_names)}
@@ -480,26 +464,27 @@ def _trials_of_setup(
             continue
         other_poses, other_setup = rows_and_setup(other, table, cell)
         other_free, other_rows = _with_unknown_targets(other_setup), _as_points(other_poses)
-        yield Trial(_FREE, other, other_free, other_rows, Why.OTHER_TIP, {"link": link})
+        yield Trial(_FREE, other, other_free, other_rows, Reason.of(Why.OTHER_TIP, link=link))
 
     # Poses of the frame in the target.
     if np.all(poses.where(lambda kind: kind.orientation)):
         R = poses.measured[:, 3:12].reshape(-1, 3, 3)
         points = -np.einsum("nji,nj->ni", R, poses.measured[:, :3])
-        yield Trial(_ONE_OF_MANY, robot, free, replace(rows, measured=points), Why.POSES_INVERSE)
+        inverse = replace(rows, measured=points)
+        yield Trial(_ONE_OF_MANY, robot, free, inverse, Reason.of(Why.POSES_INVERSE))
 
 
-def _trials_of_dh_rows(dh: DHRobot, setup: Setup, poses: Rows) -> Iterator[Trial]:
+def _trials_of_dh_rows(of_dh: DHTrials, setup: Setup) -> Iterator[Trial]:
     """Yield the best of the trials in which a mistake in the DH rows that a robot was made from is undone.
 
     Targets that are held stay where they were given: almost any row would explain what the freedom of a target does.
     """
-    tried = try_changes(dh, setup, poses)
-    for _, change in sorted(tried, key=lambda entry: float(entry[0][0]))[:_REGISTERED]:
-        rows = with_joints(_as_points(poses), change.in_order(poses.joints, dh.joint_names))
+    poses = of_dh.rows
+    for _, change in sorted(of_dh.tried, key=lambda entry: float(entry[0][0]))[:REGISTERED]:
+        rows = with_joints(_as_points(poses), change.in_order(poses.joints, of_dh.dh.joint_names))
         # One cell is likelier than what has its effect, and what a free number explains has to be far more.
         factor = (_PLAIN if len(change.cells) == 1 else _ONE_OF_MANY) * (1.0 + change.free)
-        yield Trial(factor, change.robot(), setup, rows, change.why, change.reason_values)
+        yield Trial(factor, change.robot(), setup, rows, change.mistake)
 
 
 def _trials_of_joints(
@@ -510,15 +495,14 @@ def _trials_of_joints(
     ``rows`` are points. Every trial has all targets unknown.
     """
     free = _with_unknown_targets(setup)
-    by_column = [correction for _, correction in correct_columns(robot, rows.joints, table.units)]
     corrections = [
-        *(correction for correction in by_column if correction[1] is not Why.JOINTS_TURNED),
-        *correct_joints(robot, rows.joints, table.units),
+        correction
+        for correction in _single_corrections(robot, rows.joints, table.units)
+        if correction[1].why is not Why.JOINTS_TURNED
     ]
-    for joints, why, values in _best(robot, free, rows, corrections):
-        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
-    for joints, why, values in _best_factors(robot, free, rows):
-        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), why, values)
+    of_columns = _best(robot, free, rows, corrections)
+    for joints, mistake in (*of_columns, *_best_factors(robot, free, rows)):
+        yield Trial(_ONE_OF_MANY, robot, free, with_joints(rows, joints), mistake)
 
     # A joint whose column holds one value, at the values that would explain each row.
     is_constant = np.ptp(rows.joints, axis=0) == 0.0
@@ -526,18 +510,23 @@ def _trials_of_joints(
         moved = rows
         for reach in _REACHES:
             moved = _with_nearest_values(robot, free, moved, joint, reach)
-        values = {"joint": robot.joint_names[joint]}
-        yield Trial(_FREE, robot, free, moved, Why.JOINT_CONSTANT, values)
+        constant = Reason.of(Why.JOINT_CONSTANT, joint=robot.joint_names[joint])
+        yield Trial(_FREE, robot, free, moved, constant)
+
+
+def _single_corrections(robot: Robot, q: Array, units: Mapping[str, str]) -> list[Correction]:
+    """List the corrections of one mistake of joint values: of one column, then of several."""
+    of_columns = (correction for _, correction in correct_columns(robot, q, units))
+    return [*of_columns, *correct_joints(robot, q, units)]
 
 
 def _best(
     robot: Robot, setup: Setup, rows: Rows, corrections: Sequence[Correction]
 ) -> list[Correction]:
-    """Choose the corrections of joint values, at most `_REGISTERED`, with the smallest errors on a screen."""
-    errors = screened_errors(
-        robot, setup, rows, np.array([joints for joints, _, _ in corrections]), rows.measured
-    )
-    return [corrections[k] for k in np.argsort(errors, kind="stable")[:_REGISTERED].tolist()]
+    """Choose the corrections of joint values, at most `REGISTERED`, with the smallest errors on a screen."""
+    q = np.array([joints for joints, _ in corrections])
+    errors = screened_errors(robot, setup, rows, q, rows.measured)
+    return [corrections[k] for k in np.argsort(errors, kind="stable")[:REGISTERED].tolist()]
 
 
 def _best_factors(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Correction]:
@@ -558,9 +547,10 @@ def _best_factors(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Correction
         for _ in range(_FACTOR_ROUNDS):
             corrections = list(scale_column(name, joint, rows.joints, factors))
             best, *_ = _best(robot, setup, rows, corrections)
-            factors = best[2]["factor"] * np.exp(np.linspace(-step, step, _TRIED))
+            factor = best[1].values["factor"]
+            factors = factor * np.exp(np.linspace(-step, step, _TRIED))
             step *= 2.0 / (_TRIED - 1)
-        size = abs(best[2]["factor"])
+        size = abs(factor)
         if not any(abs(size / simple - 1.0) < _SAME_FACTOR for simple in SIMPLE_FACTORS):
             yield best
 
@@ -621,13 +611,12 @@ def _trials_of_order(
                     break
             if best == last:
                 continue
-            values: dict[str, Any] = {"later": not up}
+            factor, mistake = _ONE_OF_MANY, Reason.of(Why.ROWS_SHIFTED, later=not up)
             if best > 0:
-                values = {"row": int(row_numbers[best]), "up": up}
-            why = Why.ROWS_MOVED if best > 0 else Why.ROWS_SHIFTED
+                row = int(row_numbers[best])
+                factor, mistake = _FREE, Reason.of(Why.ROWS_MOVED, row=row, up=up)
             trial = moved(best, up=up, named=named)
-            factor = _FREE if best > 0 else _ONE_OF_MANY
-            yield Trial(factor, robot, free, trial.select(trial.evenly(_ROWS)), why, values)
+            yield Trial(factor, robot, free, trial.select(trial.evenly(_ROWS)), mistake)
 
 
 def _pairs(
@@ -640,56 +629,47 @@ def _pairs(
     free = _with_unknown_targets(setup)
     if rows.count - free.count < _FEWEST_FREEDOM_OF_PAIR:
         return
-    plain = Trial(_PLAIN, robot, free, rows, Why.TWO_MISTAKES)
+    plain = Trial(_PLAIN, robot, free, rows, Reason.of(Why.TWO_MISTAKES))
     ranked: list[tuple[float, Trial]] = []
-    with_first = [(plain, _two_of_joints(robot, rows.joints, table.units))]
+    with_first = [(plain, list(_two_of_joints(robot, rows.joints, table.units)))]
     for trial in setups:
-        if trial.why not in _ALONE:
-            first = {"code": trial.why.value, **trial.values}
-            with_first.append((trial, _one_of_joints(trial, table.units, first)))
-    for trial, corrections in with_first:
+        if trial.mistake.why not in _ALONE:
+            corrections = _single_corrections(trial.robot, trial.rows.joints, table.units)
+            both_undone = [(joints, (trial.mistake, other)) for joints, other in corrections]
+            with_first.append((trial, both_undone))
+    for trial, changed in with_first:
         factor = _ONE_OF_TWO * trial.factor
-        changed = list(corrections)
         q = np.array([joints for joints, _ in changed])
         errors = screened_errors(trial.robot, trial.setup, trial.rows, q, trial.rows.measured)
-        for k in np.argsort(errors, kind="stable")[:_REGISTERED].tolist():
+        for k in np.argsort(errors, kind="stable")[:REGISTERED].tolist():
             joints, both = changed[k]
-            moved = with_joints(trial.rows, joints)
-            why, values = Why.TWO_MISTAKES, {"both": both}
-            if {mistake["code"] for mistake in both} == {Why.JOINTS_TURNED.value}:
-                why, values = Why.JOINTS_TURNED, {"joints": ", ".join(m["joints"] for m in both)}
-            pair = Trial(factor, trial.robot, trial.setup, moved, why, values)
+            mistake = Reason.of(Why.TWO_MISTAKES, both=[one.entry for one in both])
+            if all(one.why is Why.JOINTS_TURNED for one in both):
+                names = ", ".join(one.values["joints"] for one in both)
+                mistake = Reason.of(Why.JOINTS_TURNED, joints=names)
+            pair = replace(
+                trial, factor=factor, rows=with_joints(trial.rows, joints), mistake=mistake
+            )
             ranked.append((factor * float(errors[k]), pair))
     ranked.sort(key=lambda entry: entry[0])
-    for _, trial in ranked[:_REGISTERED]:
+    for _, trial in ranked[:REGISTERED]:
         yield trial
 
 
 def _two_of_joints(
     robot: Robot, q: Array, units: Mapping[str, str]
-) -> Iterator[tuple[Array, list[dict[str, Any]]]]:
+) -> Iterator[tuple[Array, tuple[Reason, Reason]]]:
     """Yield joint values in which two mistakes are undone, and both: first of one column, then another or of several.
 
     Of one column two are its sign and then its zero.
     """
-    for i, (once, why, values) in correct_columns(robot, q, units):
-        first = {"code": why.value, **values}
-        for j, (twice, other, of_other) in correct_columns(robot, once, units):
-            of_one = why is Why.JOINTS_TURNED and other is Why.JOINT_ZERO
+    for i, (once, first) in correct_columns(robot, q, units):
+        for j, (twice, second) in correct_columns(robot, once, units):
+            of_one = first.why is Why.JOINTS_TURNED and second.why is Why.JOINT_ZERO
             if j > i or (j == i and of_one):
-                yield twice, [first, {"code": other.value, **of_other}]
-        for twice, other, of_other in correct_joints(robot, once, units):
-            yield twice, [first, {"code": other.value, **of_other}]
-
-
-def _one_of_joints(
-    trial: Trial, units: Mapping[str, str], first: dict[str, Any]
-) -> Iterator[tuple[Array, list[dict[str, Any]]]]:
-    """Yield joint values of a trial in which one mistake is undone, and that mistake after the trial's own."""
-    q = trial.rows.joints
-    of_columns = (correction for _, correction in correct_columns(trial.robot, q, units))
-    for joints, why, values in (*of_columns, *correct_joints(trial.robot, q, units)):
-        yield joints, [first, {"code": why.value, **values}]
+                yield twice, (first, second)
+        for twice, second in correct_joints(robot, once, units):
+            yield twice, (first, second)
 
 
 def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, reach: float) -> Rows:
@@ -710,32 +690,23 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
     return with_joints(rows, q[every * _TRIED + nearest])
 
 
-def _counts_of_turned_joints(robot: Robot, setup: Setup) -> Sequence[int]:
-    """List how many joints have their sign reversed at a time: any number, or one if the robot has many.
-
-    An unknown frame makes a trial a hundred times as expensive: then one as well. Two are among the pairs of mistakes.
-    """
-    joints = len(robot.inputs)
-    return range(1, 2 if any(setup.unknown) or joints > _MOST_SIGNS else joints + 1)
-
-
-def _turned_joints(
-    robot: Robot, setup: Setup, rows: Rows, counts: Iterable[int]
-) -> Iterator[Trial]:
-    """Yield trials in which the signs of some joints' values are reversed: every combination of each of ``counts``.
+def _turned_joints(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Trial]:
+    """Yield trials in which the signs of some joints' values are reversed: of each set of joints, or of single ones.
 
     ``rows`` are points. Every trial has all targets unknown; the more joints, the larger the factor on its error.
     """
     every = range(len(robot.inputs))
     free = _with_unknown_targets(setup)
-    for count in counts:
+    # An unknown frame makes a trial a hundred times as expensive. Two signs are among the pairs of mistakes.
+    singly = any(setup.unknown) or len(every) > _MOST_SIGNS
+    for count in range(1, 2 if singly else len(every) + 1):
         # The more signs, the more combinations.
         factor = 1.0 + 0.2 * count
         for joints in itertools.combinations(every, count):
             signs = np.where(np.isin(every, joints), -1.0, 1.0)
             turned = with_joints(rows, rows.joints * signs)
-            values = {"joints": ", ".join(robot.joint_names[i] for i in joints)}
-            yield Trial(factor, robot, free, turned, Why.JOINTS_TURNED, values)
+            names = ", ".join(robot.joint_names[i] for i in joints)
+            yield Trial(factor, robot, free, turned, Reason.of(Why.JOINTS_TURNED, joints=names))
 
 
 # Senses of joints in images

@@ -214,7 +214,7 @@ class Factor(Value):
     slope: Callable[[JointState], Array] | None
     #: True if it needs the load on the joints.
     loaded: bool = False
-    #: True if it depends on the joint's last move; else that is not told.
+    #: True if it depends on the joint's last move, which its functions are given then.
     moved: bool = False
     #: True if there is one for each later point of the chain, ``<joint>.<name>[<point>]``.
     later: bool = False

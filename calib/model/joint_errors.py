@@ -127,7 +127,7 @@ def joint_displacements(
     """
     chain = tuple(joint.name for joint in robot.joints)
     values = robot.input_values(q)
-    moved_values = None if moves is None else values - robot.input_values(q - moves)
+    moves_of_values = None if moves is None else values - robot.input_values(q - moves)
     moved = np.zeros((len(q), len(chain), len(terms)))
     for k, term in enumerate(terms):
         assert term.factor is not None
@@ -142,7 +142,7 @@ def joint_displacements(
             chain=chain,
             loads=load,
             point=term.factor.point,
-            moves=moved_values if term.factor.moved else None,
+            moves=moves_of_values if term.factor.moved else None,
         )
         of_joint = term.factor.value(state)
         moved[:, :, k] = of_joint[:, None] * driven

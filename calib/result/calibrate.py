@@ -33,6 +33,7 @@ from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import add_verdicts
+from calib.result.doubts import late_in_table, patterns_in_table
 from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.joint_zeros import joint_zeros
 from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
@@ -92,37 +93,33 @@ def calibrate(
         stated = replace(stated, model=model)
     measured = measured.without_copies()
     fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
+    drift = None
+    if validate and not fits.mistake:
+        drift = _found_drift(measured, fits)
+    if drift is not None:
+        measured = _without_drift(measured, drift)
+        fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
 
     if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
         return _with_verdict_against(_assemble(measured, fits), fits.mistake)
     if not validate:
         result = _assemble(measured, fits)
         absurd = absurd_noise(result.noise.sigma)
-        return _with_verdict_against(result, absurd[0]) if absurd else result
-    result = _assemble_validated(measured, fits, progress)
-    drift = _found_drift(result)
-    if drift is None:
-        return result
-    still = _without_drift(measured, drift)
-    fits = fit_table(arm, still, stated, model=model, solver=solver, robust=robust)
-    if fits.mistake:
-        return result
-    return _assemble_validated(still, fits, progress, drift)
+        return result if absurd is None else _with_verdict_against(result, absurd)
+    return _assemble_validated(measured, fits, progress, drift)
 
 
-def _found_drift(result: Calibration) -> Array | None:
+def _found_drift(measurements: Measurements, fits: TableFits) -> Array | None:
     """Return the drift of the measured positions from the first fitted row to the last, (3,) [m], in their frame.
 
     None if there is none that predicts held-out rows, and whose vector can be told (`residual_patterns`); or if joint
     values are late, which along a path looks like a drift.
     """
-    assert result.verdict is not None
-    if any(reason.why is Why.JOINTS_LATE for reason in result.verdict.reasons):
-        return None
-    for reason in result.verdict.reasons:
+    for reason in patterns_in_table(fits.non_geometric or fits.geometry, measurements):
         values = reason.values
         if reason.why is Why.DRIFT and "drift_xyz" in values and values["falls"] >= PREDICTS:
-            return np.array(values["drift_xyz"])
+            is_late = any(late_in_table(fits.geometry, measurements))
+            return None if is_late else np.array(values["drift_xyz"])
     return None
 
 
@@ -152,7 +149,7 @@ def _assemble_validated(
 ) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdicts.
 
-    A drift, (3,) [m], is one that was taken out of the measurements, and is stated; None if there is none.
+    ``drift``, (3,) [m], was taken out of the measurements, which is stated; None: nothing was.
 
     A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
     the next candidates are tried, and none stays if none does. One that the user named stays.

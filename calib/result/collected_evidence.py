@@ -48,11 +48,10 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
         of_bending = tuple(negative_compliances(of_larger))
         every_doubt = (*doubts, *of_bending)
         evidence = _collect_evidence(result, larger, of_larger, larger.residual, rows, every_doubt)
-        larger = replace(larger, verdict=judge(evidence))
-        result = replace(result, non_geometric=larger)
-        assert larger.cross_validation is not None
-        if larger.verdict is not None and larger.verdict.use != NO:
-            usable = larger.name, larger.cross_validation.errors_without_outliers
+        verdict = judge(evidence)
+        result = replace(result, non_geometric=replace(larger, verdict=verdict))
+        if verdict.use != NO:
+            usable = larger.name, evidence.after
 
     geometry, fitted = result.geometry, result.fit.geometry
     residual = result.rows.residual_calibrated
@@ -150,10 +149,13 @@ def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[floa
     With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
     variance w that is added to this beyond them (`FittedModel.added_variance`), the model is off by e^2 = v_0 + w. It
     is d away from the nominal robot, of which w - (v - v_0) is error of its own: the nominal robot is off by d^2 - (w -
-    (v - v_0)) + v, and by no less than the model. A scale error s of the instrument, with the mean m and the variance
-    u, adds (m^2 + u) |J g|^2 to the model's e^2, by the growth g of the parameters; the nominal robot's d is then that
-    from the model less m g, and u |J g|^2 is added. If the frame was estimated, or no row determines where the base
-    stands, rigid motions of all positions do not count.
+    (v - v_0)) + v, and by no less than the model, as far as rows and covariance say.
+
+    A scale error s of the instrument, with the mean m and the variance u, adds (m^2 + u) |J g|^2 to the model's e^2, by
+    the growth g of the parameters; the nominal robot's d is then that from the model less m g, and u |J g|^2 is added.
+    If all of the model's changes are scale, the nominal robot is right, and off by less than the model.
+
+    If the frame was estimated, or no row determines where the base stands, rigid motions of all positions do not count.
     """
     samples = result.samples(spread_poses(result.nominal))
     # T_frame_target, (N, 4, 4), and the derivatives of its position by the p parameters, (N, 3, p).
@@ -177,6 +179,7 @@ def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[floa
     v = float(np.mean(np.einsum("nip,pq,niq->n", J, model.covariance, J, optimize=True)))
     v_0 = min(model.noise_measured**2, v)
     added = model.added_variance(v - v_0)
+    # Each without the scale error; only then may the nominal robot be the better one.
     of_model = v_0 + added
     of_nominal = max(d_square - (added - (v - v_0)) + v, of_model)
     by_scale = (mean**2 + variance) * growth_square

@@ -9,12 +9,14 @@ from functools import partial
 import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.diagnosis.augmented_fit import thin
-from calib.diagnosis.computed import computed_measurements
+from calib.data.measurements import Measurements
+from calib.diagnosis.augmented_fit import FEWEST_FREEDOM, thin
+from calib.diagnosis.computed import ROUNDING_NOISE, computed_measurements
 from calib.diagnosis.coverage import doubtful_views, partial_coverage, sole_postures, still_joints
+from calib.diagnosis.judge import FAR_LESS
 from calib.diagnosis.late_joints import late_joints
 from calib.diagnosis.reasons import Reason, Why
-from calib.diagnosis.residual_patterns import FEWEST_FREEDOM, ROUNDING_NOISE, residual_patterns
+from calib.diagnosis.residual_patterns import residual_patterns
 from calib.diagnosis.stated_values import contradicted_values
 from calib.diagnosis.stations import disagreeing_stations, flagged_station
 from calib.diagnosis.usual_mistakes import doubtful_senses
@@ -27,14 +29,11 @@ from calib.numerics.errors import interval_factor
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
 
-#: The model lacks something if a larger one lowers the noise to this share.
-_FAR_LESS = 0.6
-
 #: The model lacks something if repeats scatter by less than this share of the noise.
 _SCATTER_SHARE = 0.5
 
 #: Noise more than so many times the one stated is not the instrument's, and one that is as much smaller was misstated.
-_ABOVE = 5.0
+CONTRADICTED = 5.0
 
 #: A robot that stops no better than it does explains residuals up to so many times the stated noise: the best
 #: instruments have a hundredth of a robot's repeatability.
@@ -68,9 +67,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
             if distance > _ELSEWHERE:
                 yield Reason.of(Why.TARGET_FAR, target=name, far_m=distance)
 
-    q = m.joints_for(result.nominal.joint_names)
-    geometry, of_geometry = thin(result.fit.geometry)
-    yield from late_joints(geometry, q, np.flatnonzero(m.estimation)[of_geometry])
+    yield from late_in_table(result.fit.geometry, m)
     yield from computed_measurements(fitted)
     # Errors that a larger model explains move no lengths in it.
     scale = (result.non_geometric or result.geometry).scale
@@ -78,8 +75,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     intervals = partial(length_intervals, fitted, scale)
     yield from other_variant(result.nominal, corrected, intervals)
 
-    few, chosen = thin(fitted)
-    yield from contradicted_values(few, scale, frame_aligned=cell.frame_aligned)
+    few, _ = thin(fitted)
+    yield from contradicted_values(few, scale)
     yield from doubtful_views(few)
     yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)
@@ -88,17 +85,43 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     if _is_named_model(result):
         yield from _missing_model(few)
     yield from partial_coverage(few)
-
-    # Joints moved to a row from the one before, whatever its set.
-    moves = m.moves_for(result.nominal.joint_names)
-    in_table = np.flatnonzero(m.estimation)[chosen]
-    yield from residual_patterns(few, np.array(m.rows)[in_table], moves[in_table])
-
+    yield from patterns_in_table(fitted, m)
     yield from disagreeing_stations(few)
     yield from flagged_station(fitted)
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
         yield Reason.of(Why.NO_LENGTH)
+
+
+def patterns_in_table(fitted: Fitted, measurements: Measurements) -> Iterator[Reason]:
+    """Find the patterns in the residuals of a fit to the rows of a table, see `residual_patterns`.
+
+    Args:
+        fitted: A fit to the estimation rows; of many, some are looked at.
+        measurements: The table. Joints moved to a row from the one before, whatever its set.
+
+    Yields:
+        A reason for each pattern.
+    """
+    few, chosen = thin(fitted)
+    in_table = np.flatnonzero(measurements.estimation)[chosen]
+    moves = measurements.moves_for(fitted.task.robot.joint_names)[in_table]
+    yield from residual_patterns(few, np.array(measurements.rows)[in_table], moves)
+
+
+def late_in_table(geometry: Fitted, measurements: Measurements) -> Iterator[Reason]:
+    """Say if the joint values of a table are of another time than what was measured, see `late_joints`.
+
+    Args:
+        geometry: A fit of the geometry to the estimation rows; of many, some are looked at.
+        measurements: The table.
+
+    Yields:
+        At most one reason.
+    """
+    few, chosen = thin(geometry)
+    q = measurements.joints_for(geometry.task.robot.joint_names)
+    yield from late_joints(few, q, np.flatnonzero(measurements.estimation)[chosen])
 
 
 def _is_named_model(result: Calibration) -> bool:
@@ -135,7 +158,7 @@ def noise_doubts(
         unit = RESIDUAL_UNITS[symbol]
         sigma = float(np.median(rows.sigma[symbol][of_channel]))
         noise = ratio * sigma
-        is_explained = lacking or left[c] <= _FAR_LESS * ratio
+        is_explained = lacking or left[c] <= FAR_LESS * ratio
 
         stated = symbol in result.fit.cell.sigma
         if symbol in m.stated_sigma:
@@ -145,10 +168,10 @@ def noise_doubts(
         if not stated:
             if noise > unit.large_noise and not is_explained:
                 yield Reason.of(Why.NOISE_LARGE, **{f"noise_{symbol}": noise})
-        elif noise > _ABOVE * np.hypot(sigma, unit.repeatability):
+        elif noise > CONTRADICTED * np.hypot(sigma, unit.repeatability):
             if not is_explained:
                 yield Reason.of(Why.NOISE_ABOVE_SIGMA, **sizes, ratio=noise / sigma)
-        elif sigma > _ABOVE * noise or noise > _FAR_ABOVE * sigma:
+        elif sigma > CONTRADICTED * noise or noise > _FAR_ABOVE * sigma:
             yield Reason.of(Why.SIGMA_UNLIKELY, **sizes)
 
 
@@ -156,7 +179,7 @@ def noise_doubts(
 
 
 def _missing_model(fitted: Fitted) -> Iterator[Reason]:
-    """Say if full placements, or these with non-geometric errors, would lower the noise of a fit to `_FAR_LESS`.
+    """Say if full placements, or these with non-geometric errors, would lower the noise of a fit to `FAR_LESS`.
 
     The reason has the name of the larger model that leaves the least noise, and the noise of the first channel by both
     models, such as ``noise_m`` and ``less_m`` [m].
@@ -172,7 +195,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
             continue
         larger = fit(task, rows, registered=fitted.setup)
         of_larger = float(larger.estimate.problem.noise_over_sigma[0])
-        if of_larger <= _FAR_LESS * least:
+        if of_larger <= FAR_LESS * least:
             least, lacking = of_larger, model
     if lacking:
         unit = rows.channels.units[0]

@@ -21,7 +21,7 @@ from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.diagnosis.stated_values import Scale, instrument_scale
-from calib.diagnosis.untold import untold_error
+from calib.diagnosis.undetermined import undetermined_error
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.setup import Setup
 from calib.model.error_model import FRAME, TARGET, ErrorModel
@@ -110,8 +110,8 @@ class FittedModel(Value):
     scale: Scale | None = None
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
-    #: Error over the joint limits that families of errors add of which the rows do not tell the sizes [m]
-    untold: float = 0.0
+    #: Error over the joint limits that families of errors add whose sizes the rows do not determine [m]
+    undetermined: float = 0.0
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None = None
 
@@ -176,15 +176,13 @@ class FittedModel(Value):
             expected_everywhere=of_everywhere,
             scale_measured=scale_of_measured,
             scale_everywhere=scale_everywhere,
-            untold=untold_error(fitted, everywhere),
+            undetermined=undetermined_error(fitted, everywhere),
         )
 
     @property
-    def growth(self) -> Array:
+    def change_by_scale(self) -> Array:
         """Change of the parameters by the scale error of the instrument, rms, shape (p,), in their units."""
-        if self.scale is None:
-            return np.zeros(len(self.x))
-        return self.scale.size * self.scale.growth
+        return np.zeros(len(self.x)) if self.scale is None else self.scale.change
 
     @property
     def noise_measured(self) -> float:
@@ -211,13 +209,13 @@ class FittedModel(Value):
         """Return what is added to the variance at the measured poses beyond them, with what the model lacks [m^2].
 
         The variance v that the covariance adds is f v by rows that were extrapolated (``extrapolation``), and v + u^2
-        by the errors that the rows cannot tell (``untold``). Both estimate what is lacking, and the larger counts.
+        by errors that the rows do not determine (``undetermined``). Both estimate what is lacking; the larger counts.
 
         Args:
             by_covariance: v [m^2]; if it is negative, f is 1.
         """
         factor = self.extrapolation if by_covariance > 0.0 else 1.0
-        return max(factor * by_covariance, by_covariance + self.untold**2)
+        return max(factor * by_covariance, by_covariance + self.undetermined**2)
 
     @property
     def by_scale(self) -> tuple[float, float]:
@@ -253,8 +251,8 @@ class FittedModel(Value):
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
         """Return standard deviations of predicted poses of the target, sqrt(trace(J C J^T) + |J g|^2).
 
-        C is the covariance of the parameters, g their change by the instrument's scale error (``growth``), J the
-        derivative of the position, or of the orientation, by them. Errors that the model lacks are not included.
+        C is the covariance of the parameters, g their ``change_by_scale``, J the derivative of the position, or of the
+        orientation, by them. Errors that the model lacks are not included.
 
         Args:
             samples: N joint values, with the frame, the target and the loads of each.
@@ -274,21 +272,21 @@ class FittedModel(Value):
             _, twists = self.kinematics.twists(self.x, samples)
         # Twists are of the shape (N, 6, p), linear [m] then angular [rad] a unit of each parameter.
         JC = (twists.reshape(-1, len(self.x)) @ self.covariance).reshape(twists.shape)
-        variance_by_axis = np.sum(JC * twists, axis=2) + (twists @ self.growth) ** 2
+        variance_by_axis = np.sum(JC * twists, axis=2) + (twists @ self.change_by_scale) ** 2
         variance = variance_by_axis.reshape(-1, 2, 3).sum(axis=2)
         return read_only(np.sqrt(np.maximum(variance, 0.0)))
 
     def _expected_error(self, samples: Samples) -> tuple[float, float]:
         """Return the standard deviation of predicted positions, rms over the first samples, and the scale's part [m].
 
-        A frame that is estimated takes the rigid motion off the growth of the arm, which does not displace the robot.
-        They are predicted in the base if the model has a ``base_motion``, else in each sample's measurement frame.
+        They are predicted in the base if the model has a ``base_motion``, else in each sample's measurement frame. Of
+        the growth of the arm, an estimated frame takes off the rigid motion, which does not displace the robot.
         """
         first = samples.select(slice(0, _MOST_EXPECTED))
         in_base = self.base_motion is not None
         exact = rms(replace(self, scale=None).pose_std(first, in_base=in_base)[:, 0])
         poses, twists = twists_in_base(self.kinematics, self.x, first)
-        grown = twists[:, :3] @ self.growth[:, None]
+        grown = twists[:, :3] @ self.change_by_scale[:, None]
         if in_base or any(self.setup.unknown):
             grown = without_rigid_motion(poses[:, :3, 3], grown)
         by_scale = rms(np.linalg.norm(grown, axis=(1, 2)))
@@ -362,7 +360,7 @@ def parameter_estimates(
     estimate, model = fitted.estimate, fitted.kinematics.model
     std = np.sqrt(np.diag(estimate.covariance))
     if scale is not None:
-        std = np.hypot(std, scale.size * scale.growth)
+        std = np.hypot(std, scale.change)
     std[list(estimate.at_bound)] = np.nan
     half_width = interval_factor(estimate.freedom) * std
     precision = estimate.problem.prior_precision

@@ -254,6 +254,7 @@ def _row(
         offset=offset,
         lower=columns.number(i, "lower", slides=slides),
         upper=columns.number(i, "upper", slides=slides),
+        line=columns.table.lines[i],
     )
     fault = row_fault(row, columns.convention)
     if fault:
@@ -393,10 +394,13 @@ def _row_of_json(joint: Mapping[str, Any], numbers: Mapping[str, Any]) -> DHRow:
             f"the joint '{joint['joint']}' has no value of its own; a robot whose joints follow others is given as "
             "a URDF"
         )
+    values: dict[str, Any] = {
+        name: float(numbers[f"{name}_{symbol}"]) for name, symbol in NUMBERS.items()
+    }
     return DHRow(
         joint=joint["joint"],
         prismatic=joint["type"] == "prismatic",
-        **{name: float(numbers[f"{name}_{unit_}"]) for name, unit_ in NUMBERS.items()},
+        **values,
         direction=int(joint["factor"]),
         offset=float(joint[f"offset_{unit}"]),
         lower=joint.get(f"lower_{unit}"),

@@ -94,6 +94,8 @@ class DHRow:
     lower: float | None = None
     #: Largest value of the joint, without direction and offset [rad or m]; None if ``lower`` is.
     upper: float | None = None
+    #: Line of the table that the row was read from, for messages; 0: of no table.
+    line: int = field(default=0, repr=False, compare=False)
 
     @property
     def near_parallel(self) -> bool:

@@ -8,7 +8,7 @@ import importlib.metadata
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element as AnyElement
@@ -60,6 +60,8 @@ class Urdf(Value):
     links: tuple[str, ...] = field(repr=False, compare=False)
     #: The elements and their positions in the bytes.
     _document: Document = field(repr=False, compare=False)
+    #: The DH rows that it was made from, which know their lines in a table; None: a comment may state them.
+    _rows: DHRobot | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Urdf:
@@ -116,13 +118,15 @@ class Urdf(Value):
 
     @property
     def dh(self) -> DHRobot | None:
-        """The DH rows that a comment of the file states, from which it was made; None for any other URDF.
+        """The DH rows from which it was made, as a comment of the file states; None for any other URDF.
 
         A corrected URDF still has the rows from which the nominal one was made.
 
         Raises:
             UrdfError: The comment was changed, so that it makes no robot.
         """
+        if self._rows is not None:
+            return self._rows
         for comment in self._document.comments:
             text = comment.text.strip()
             if not text.startswith(REMARK):
@@ -351,7 +355,7 @@ def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
         source: Name of the file that has the rows, for messages.
         path: That file; None for none.
     """
-    return Urdf.from_bytes(dh_urdf(robot), source, path)
+    return replace(Urdf.from_bytes(dh_urdf(robot), source, path), _rows=robot)
 
 
 def read_urdf(source: str | Path) -> Urdf:

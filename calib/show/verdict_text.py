@@ -92,15 +92,16 @@ SENTENCES = {
     + "{add_rad:deg.0f} deg is added to '{joint}': check its zero position.",
     Why.DH_CELLS: _ROWS_OFF + "{dh_cells}.{dh_elsewhere}",
     Why.DH_ROWS_EXCHANGED: _ROWS_OFF
-    + "the lines of '{first}' and '{second}' are exchanged: put them into the order of the axes.",
+    + "the lines of '{first}' and '{second}'{dh_lines} are exchanged: put them into the order of the axes.",
     Why.DH_NUMBERS_EXCHANGED: _ROWS_OFF
-    + "the numbers in the rows of '{first}' and '{second}' are exchanged, joint names and limits as they are.",
+    + "the numbers in the rows of '{first}' and '{second}'{dh_lines} are exchanged, joint names and limits as they "
+    "are.",
     Why.DH_CONVENTION: _ROWS_OFF
     + "their convention is '{convention}', not '{stated}': state it in the file (# convention: {convention}), with "
     "headings that fit.",
     Why.DH_VARIANT: _ROWS_OFF + "the arm is a {arm}: give its lengths d and a.",
     Why.DH_UNIT: _ROWS_OFF
-    + "the {what} are in {unit}, although the heading says {header}: correct the heading.",
+    + "the {what} are multiplied by {factor:.4g}, as of {unit} under a heading of {header}: correct the heading.",
     Why.FRAME_NOT_FOUND: "The measurement frame{of_station} was not found: from every start the errors "
     "stay larger than those of any uncalibrated arm, so the nominal robot cannot be judged. "
     "Give the frame's approximate pose in the cell; if that does not help, check the robot and the "
@@ -269,7 +270,7 @@ SENTENCES = {
     + "target is registered again: was it remounted? Then give its position with --target.",
 }
 
-#: Second sentence on a cell, by what it cannot be told from.
+#: Second sentence on a cell, by what has the same effect.
 _DH_ELSEWHERE = {
     "": "",
     "base": " The controller's base frame, or the line 'base', would have the same effect.",
@@ -316,9 +317,11 @@ def _undone(mistake: Mapping[str, Any]) -> str:
 
 def _words_of_mistake(values: Mapping[str, Any]) -> dict[str, str]:
     """Return by name the words that the sentences of usual mistakes take besides their values (SI units)."""
+    lines = values.get("lines", ())  # 0 if the rows are of no table
     words = {
         "dh_cells": listed([_dh_cell(cell) for cell in values.get("cells", ())]),
         "dh_elsewhere": _DH_ELSEWHERE[values.get("elsewhere", "")],
+        "dh_lines": " (lines {} and {})".format(*lines) if lines and all(lines) else "",
     }
     if "what" in values and "factor" in values:
         if values.get("unit"):
@@ -460,7 +463,7 @@ def _dh_cell(cell: Mapping[str, Any]) -> str:
     """Word what a cell of DH rows should hold: ``'d' of 'J4' (line 6) is 420 mm instead of 411 mm``."""
     factor, unit = {"m": (1e3, " mm"), "rad": (_DEG, " deg"), "": (1.0, "")}[cell["unit"]]
     stated, wanted = (factor * cell[name] for name in ("stated", "wanted"))
-    place = f" (line {cell['line']})" if "line" in cell else ""
+    place = f" (line {cell['line']})" if cell.get("line") else ""
     remark = ""
     if cell["unit"] == "m" and abs(stated) >= _DH_DIGIT and stated * wanted > 0.0:
         change = abs(wanted) - abs(stated)

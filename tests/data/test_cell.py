@@ -99,9 +99,13 @@ def test_a_cell_file_says_how_well_the_scale_is_known(tmp_path, text, sigma):
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [('instrument = "laser"', "instrument"), ("sigma_scale_percent = -1.0", "0 or more")],
+    [
+        ('instrument = "laser"', "'instrument' is 'laser'"),
+        ("sigma_scale_percent = -1.0", "'sigma_scale_percent' is -1.0; .* 0 or more"),
+        ("sigma_scale_percent = nan", "'sigma_scale_percent' is nan"),
+    ],
 )
-def test_a_scale_that_is_refused_is_told(tmp_path, text, says):
+def test_a_scale_that_is_refused_is_named_as_it_was_written(tmp_path, text, says):
     path = tmp_path / "cell.toml"
     path.write_text(text)
     with pytest.raises(CalibError, match=says):

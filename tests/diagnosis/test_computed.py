@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.diagnosis.computed import _by_joints, _step, computed_measurements
+from calib.diagnosis.computed import (
+    _DECIMALS,
+    _ON_GRID,
+    _by_joints,
+    computed_measurements,
+    largest_step,
+)
 from calib.diagnosis.reasons import Why
 from calib.fit.estimate.fitting import Fitted
 from calib.robot.ranges import random_joint_values
@@ -78,8 +84,15 @@ def test_rounded_joint_values_move_a_coordinate_by_their_lever(make_scene):
     ],
 )
 def test_the_last_decimal_of_values(values, step):
-    assert _step(np.array(values), (1.0,)) == pytest.approx(step)
+    assert largest_step(np.array(values), _DECIMALS, _ON_GRID) == pytest.approx(step)
 
 
 def test_the_last_decimal_in_the_unit_that_has_the_largest_step():
-    assert _step(np.radians([30.2, -10.5]), (1.0, np.radians(1.0))) == pytest.approx(10 * STEP)
+    q = np.radians([30.2, -10.5])
+    steps = np.concatenate([_DECIMALS, np.radians(_DECIMALS)])
+    assert largest_step(q, steps, _ON_GRID) == pytest.approx(10 * STEP)
+
+
+def test_values_may_miss_a_step_by_a_share_of_it():
+    assert largest_step(np.array([1.004, 2.0]), np.array([0.01, 1.0, 0.1]), 0.005) == 1.0
+    assert largest_step(np.array([1.006, 2.0]), np.array([0.01, 1.0]), 0.005) == 0.0

@@ -220,7 +220,9 @@ def is_named(reason: Reason | None, spoilt: Spoilt, within: float = 0.5) -> bool
         return False
     for cell, (joint, column, right) in zip(cells, spoilt.cells, strict=True):
         factor = {"m": 1e3, "rad": np.degrees(1.0), "": 1.0}[cell["unit"]]
-        place = (cell["joint"], cell["column"]) == (joint, column)
+        # One line a joint, after the header.
+        line = int(joint.removeprefix("J")) + 1
+        place = (cell["joint"], cell["column"], cell["line"]) == (joint, column, line)
         if not place or abs(factor * cell["wanted"] - right) > within:
             return False
     return True
@@ -235,6 +237,16 @@ def test_three_poses_name_the_wrong_cell(name, tmp_path):
     assert reason.values["error_m"] < 5e-5
     assert reason.values["error_rad"] < 1e-3
     assert "others" not in reason.values
+
+
+@pytest.mark.parametrize(
+    ("name", "joints"),
+    [("lines J5 and J6 exchanged", ["J6", "J5"]), ("numbers of J2 and J3 exchanged", ["J2", "J3"])],
+)
+def test_exchanged_rows_are_named_by_their_lines(name, joints, tmp_path):
+    values = told(TABLES[name], shown(TABLES[name]), tmp_path).values
+    assert [values["first"], values["second"]] == joints
+    assert values["lines"] == [1 + int(min(joints)[1]), 1 + int(max(joints)[1])]
 
 
 @pytest.mark.parametrize(
@@ -260,6 +272,7 @@ def test_a_column_in_another_unit_and_another_arm_are_named(tmp_path):
     reason = told(in_cm, shown(in_cm), tmp_path)
     assert reason is not None
     assert (reason.why, reason.values["unit"]) == (Why.DH_UNIT, "cm")
+    assert (reason.values["what"], reason.values["factor"]) == ("numbers of a", 10.0)
 
     # The lengths of a UR3, while a UR10e stands there.
     lengths = {"J1": (151.9, 0), "J2": (0, -243.65), "J3": (0, -213.25)}

@@ -46,6 +46,17 @@ def test_of_errors_the_rms_is_stored(columns: int, names: set[str]):
     assert values["method"] == "leave-one-out"
 
 
+def test_a_mistake_is_completed_from_its_trial_to_the_verdict():
+    mistake = Reason.of(Why.JOINT_ZERO, joint="J2", add_rad=0.5)
+    found = mistake.with_values(error_m=1e-3)
+    assert found.entry == {"code": "joint_zero", "error_m": 1e-3, "joint": "J2", "add_rad": 0.5}
+    assert list(found.values) == ["error_m", "joint", "add_rad"]
+    assert found.with_values(error_m=2.0, given_m=0.1).values["error_m"] == 1e-3
+    other = Reason.of(Why.OTHER_TIP, link="hand").entry
+    assert found.with_others([other]).values == {**found.values, "others": [other]}
+    assert found.with_others([]) is found
+
+
 def test_errors_that_were_not_measured_are_not_stored():
     nothing = Errors.of(np.zeros((0, 3)))
     assert Reason.of(Why.GAIN, before=nothing).values == {}

@@ -10,10 +10,10 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.augmented_fit import FEWEST_FREEDOM
+from calib.diagnosis.computed import ROUNDING_NOISE
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.residual_patterns import (
-    FEWEST_FREEDOM,
-    ROUNDING_NOISE,
     residual_patterns,
 )
 from calib.result.calibrate import calibrate

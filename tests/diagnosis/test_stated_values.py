@@ -73,8 +73,9 @@ def test_the_first_joints_axis_may_be_off_like_the_others(clean):
 @pytest.mark.parametrize("frame_aligned", [False, True])
 def test_the_frame_may_be_stated_as_aligned(clean, frame_aligned):
     scene, table = clean
-    fitted = fit_to(scene, moved(table, (4e-3, 3e-3, 0.0)))
-    found = contradicted_values(fitted, None, frame_aligned=frame_aligned)
+    cell = Cell(model="dh", frame_aligned=frame_aligned)
+    fitted = fit_to(scene, moved(table, (4e-3, 3e-3, 0.0)), cell)
+    found = contradicted_values(fitted, None)
     assert [reason.why for reason in found] == [Why.BASE_MOVED] * (not frame_aligned)
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.reasons import Why
+from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.trials import (
     correct_columns,
     correct_joints,
@@ -16,8 +18,8 @@ from calib.diagnosis.trials import (
     poses_of_images,
     scale_column,
     shift_zeros,
-    units_of,
     with_joints,
+    wrong_unit,
 )
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.ranges import random_joint_values
@@ -70,25 +72,24 @@ def test_views_as_poses_have_the_boards_poses():
 def test_zeros_are_shifted_by_multiples_of_45_deg():
     q = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     trials = list(shift_zeros("b", 1, q))
-    assert {why for _, why, _ in trials} == {Why.JOINT_ZERO}
-    assert [values["joint"] for _, _, values in trials] == ["b"] * 7
-    added = [values["add_rad"] for _, _, values in trials]
+    assert {mistake.why for _, mistake in trials} == {Why.JOINT_ZERO}
+    assert [mistake.values["joint"] for _, mistake in trials] == ["b"] * 7
+    added = [mistake.values["add_rad"] for _, mistake in trials]
     assert sorted(np.degrees(added)) == pytest.approx([-135, -90, -45, 45, 90, 135, 180])
-    for (shifted, _, _), turn in zip(trials, added, strict=True):
+    for (shifted, _), turn in zip(trials, added, strict=True):
         np.testing.assert_allclose(shifted - q, [[0, turn, 0]] * 2, atol=1e-15)
 
 
 def test_each_usual_change_of_six_joints_is_tried(ur3: Robot):
     q = random_joint_values(ur3, 4, 1)
     trials = list(correct_joints(ur3, q, {}))
-    count = {why: sum(code is why for _, code, _ in trials) for why in {t[1] for t in trials}}
-    assert count == {
+    assert Counter(mistake.why for _, mistake in trials) == {
         Why.COLUMNS_SWAPPED: 15,
         Why.COLUMNS_REVERSED: 1,
         Why.READINGS_COUPLED: 10,
         Why.WRONG_UNIT: 2,
     }
-    coupled = [(v, changed) for changed, code, v in trials if code is Why.READINGS_COUPLED]
+    coupled = [(m.values, changed) for changed, m in trials if m.why is Why.READINGS_COUPLED]
     values, changed = coupled[0]
     assert (values["joint"], values["reading"]) == ur3.joint_names[1::-1]
     expected = q + values["factor"] * q[:, :1] * np.eye(6)[1]
@@ -99,14 +100,14 @@ def test_each_column_is_changed_alone(ur3: Robot):
     q = random_joint_values(ur3, 4, 1)
     trials = list(correct_columns(ur3, q, {ur3.joint_names[2]: "deg"}))
     assert len(trials) == 6 * (1 + 7 + 2)
-    for i, (changed, _, _) in trials:
+    for i, (changed, _) in trials:
         others = np.arange(6) != i
         np.testing.assert_array_equal(changed[:, others], q[:, others])
         assert not np.allclose(changed[:, i], q[:, i])
-    signs = [c for i, c in trials if i == 2 and c[1] is Why.JOINTS_TURNED]
+    signs = [c for i, c in trials if i == 2 and c[1].why is Why.JOINTS_TURNED]
     np.testing.assert_array_equal(signs[0][0][:, 2], -q[:, 2])
-    units = [c for i, c in trials if i == 2 and c[1] is Why.WRONG_UNIT]
-    assert [values.get("unit") for _, _, values in units] == ["rad", None]
+    units = [c for i, c in trials if i == 2 and c[1].why is Why.WRONG_UNIT]
+    assert [mistake.values.get("unit") for _, mistake in units] == ["rad", None]
     np.testing.assert_allclose(units[0][0][:, 2], np.degrees(q[:, 2]))
 
 
@@ -116,24 +117,23 @@ def test_each_column_is_changed_alone(ur3: Robot):
      (np.degrees(1.0), "deg", "rad"), (np.degrees(1.0), "rad", None), (10.0, "m", None)],
 )  # fmt: skip
 def test_a_wrong_unit_has_a_name_only_if_it_is_a_unit(factor, stated, true):
-    values = units_of(factor, stated)
+    values = wrong_unit("points", factor, stated).values
     assert (values["factor"], values.get("unit")) == (factor, true)
     assert values.get("header") == (stated if true else None)
-    assert units_of(factor, None) == {"factor": factor}
+    unknown = wrong_unit("points", factor, None)
+    assert unknown == Reason.of(Why.WRONG_UNIT, what="points", factor=factor)
 
 
 def test_a_joint_is_scaled_alone():
     q = np.array([[0.1, 0.2, 0.3]])
-    (changed, why, values), _ = scale_column("b", 1, q, np.array([-2.0, 3.0]))
+    (changed, mistake), _ = scale_column("b", 1, q, np.array([-2.0, 3.0]))
     np.testing.assert_allclose(changed, [[0.1, -0.4, 0.3]])
-    assert (why, values) == (Why.JOINT_FACTOR, {"joint": "b", "factor": -2.0})
+    assert mistake == Reason.of(Why.JOINT_FACTOR, joint="b", factor=-2.0)
 
 
 def test_a_stated_coupling_is_left_out_in_one_trial(ur3: Robot):
     pan, lift, *_ = ur3.joint_names
     coupled = Robot.from_urdf(ur3.urdf, ur3.base, ur3.tip, coupling={lift: {pan: 1.0}})
     q = random_joint_values(ur3, 4, 1)
-    (without,) = [
-        c for c, why, _ in correct_joints(coupled, q, {}) if why is Why.READINGS_NOT_COUPLED
-    ]
+    (without,) = [c for c, m in correct_joints(coupled, q, {}) if m.why is Why.READINGS_NOT_COUPLED]
     np.testing.assert_allclose(coupled.poses(without), ur3.poses(q), atol=1e-12)

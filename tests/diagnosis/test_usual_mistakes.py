@@ -15,10 +15,11 @@ from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
+from calib.diagnosis.trials import with_joints
 from calib.diagnosis.usual_mistakes import (
     _choose,
-    _counts_of_turned_joints,
     _some_rows,
+    _turned_joints,
     check_positions,
     doubtful_senses,
     find_usual_mistake,
@@ -232,15 +233,16 @@ def test_one_axis_in_another_unit(ur3: Robot, thirty: Measurements):
 def test_all_signs_of_few_joints_are_tried_and_single_ones_of_many(
     ur3: Robot, thirty: Measurements, serial_urdf
 ):
-    _, setup = rows_and_setup(ur3, thirty, Cell())
-    assert _counts_of_turned_joints(ur3, setup) == range(1, 7)
+    rows, setup = rows_and_setup(ur3, thirty, Cell())
+    assert len(list(_turned_joints(ur3, setup, rows))) == 2**6 - 1
     joint = ("revolute", (0.1, 0.0, 0.0), (0, 0, 0), (0, 0, 1))
-    for joints, most in ((7, 7), (8, 1)):
+    for joints, sets in ((7, 2**7 - 1), (8, 8)):
         robot = Robot.from_urdf(serial_urdf([joint] * joints))
-        assert _counts_of_turned_joints(robot, setup) == range(1, most + 1)
+        still = with_joints(rows, np.zeros((len(rows), joints)))
+        assert len(list(_turned_joints(robot, setup, still))) == sets
     # An unknown frame makes each trial expensive.
     _, free = rows_and_setup(ur3, thirty, Cell(estimate_frame=True))
-    assert _counts_of_turned_joints(ur3, free) == range(1, 2)
+    assert len(list(_turned_joints(ur3, free, rows))) == 6
 
 
 def test_sixty_rows_evenly_over_a_long_table_are_looked_at(ur3: Robot):
@@ -255,10 +257,11 @@ def test_explanations_as_good_as_the_best_are_named_with_it():
     """Ranked by the weighted error, and told apart by the error itself."""
 
     def explanation(factor: float, error_m: float, why: Why) -> tuple[bool, float, Reason]:
-        return False, factor * error_m, Reason.of(why, given_m=0.5, error_m=error_m)
+        return False, factor * error_m, Reason.of(why, error_m=error_m)
 
     best = explanation(1.0, 2e-3, Why.OTHER_BASE)
-    as_good = explanation(2.0, 1.9e-3, Why.OWN_FRAME)
+    contradicted, weighted, own_frame = explanation(2.0, 1.9e-3, Why.OWN_FRAME)
+    as_good = contradicted, weighted, own_frame.with_values(given_m=0.5)
     found = _choose([explanation(1.2, 3.1e-3, Why.COLUMNS_REVERSED), as_good, best])
     assert (found.why, found.values["error_m"]) == (Why.OTHER_BASE, 2e-3)
     assert found.values["others"] == [{"code": "own_frame", "error_m": 1.9e-3}]

@@ -419,7 +419,7 @@ def test_rows_that_bend_far_off_the_geometry_are_no_outliers(make_scene, panda, 
     assert after < before
 
 
-def test_every_kind_is_cross_assemble_validated_and_judged(case):
+def test_every_kind_is_cross_validated_and_judged(case):
     scene, c = case
     kinds = set(c.fit.measurements.kinds)
     assert c.cross_validation is not None
@@ -578,7 +578,13 @@ def test_a_drift_of_the_tracker_is_taken_out(make_scene):
     drift = np.array([4e-4, -3e-4, 2e-4])
     still = replace(m, sets=sets)
     drifting = replace(still, points=m.points + share[:, None] * drift)
-    one, other = (calibrate(scene.robot, table, model="dh") for table in (still, drifting))
+    one = calibrate(scene.robot, still, model="dh")
+    folds: list[int] = []
+    other = calibrate(
+        scene.robot, drifting, model="dh", progress=lambda done, _: folds.append(done)
+    )
+    # It is taken out before anything is cross-validated.
+    assert folds == list(range(1, len(folds) + 1))
     told = reasons(other)[Why.DRIFT_REMOVED]
     assert told["drift_m"] == pytest.approx(np.linalg.norm(drift), abs=3e-5)
     assert Why.DRIFT not in reasons(other)

@@ -9,6 +9,7 @@ import pytest
 
 from calib.basics.channels import Channels
 from calib.diagnosis.reasons import Why
+from calib.diagnosis.stated_values import Scale
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import (
     _collect_evidence,
@@ -66,7 +67,7 @@ def test_the_nominal_robot_is_off_over_the_joint_limits_by_what_was_corrected(ca
         covariance=np.zeros_like(c.covariance),
         expected_measured=0.0,
         scale=None,
-        untold=0.0,
+        undetermined=0.0,
     )
     of_model, of_nominal, _ = _expected_over_limits(certain, certain.geometry)
     q = spread_poses(c.nominal)
@@ -78,11 +79,32 @@ def test_the_nominal_robot_is_off_over_the_joint_limits_by_what_was_corrected(ca
     assert of_nominal == pytest.approx(np.sqrt(np.mean(away**2)))
 
 
+def test_if_all_changes_are_scale_the_nominal_robot_is_the_better_one(calibrated):
+    """The floor under its error counts before the scale: the model alone is off by the growth of the arm."""
+    _, c = calibrated("known set-ups")
+    scale = Scale(share=1.0, std=1e-9, freedom=1e6, prior=1.0, growth=c.geometry.x)
+    grown = with_part(
+        c,
+        "geometry",
+        covariance=np.zeros_like(c.covariance),
+        expected_measured=0.0,
+        scale=scale,
+        undetermined=0.0,
+    )
+    of_model, of_nominal, by_scale = _expected_over_limits(grown, grown.geometry)
+    exact = with_part(grown, "geometry", scale=None)
+    _, changed, _ = _expected_over_limits(exact, exact.geometry)
+    assert of_model == by_scale == pytest.approx(changed, rel=0.02)
+    assert of_nominal < 0.02 * of_model
+
+
 def test_over_the_joint_limits_the_variance_of_predictions_counts_for_both_robots(calibrated):
     """trace(J C J^T), mean over the poses: all of it is expected of a model that is certain where it was measured."""
     _, c = calibrated("known set-ups")
     c = with_part(c, "geometry", scale=None)
-    only_there = with_part(c, "geometry", expected_measured=0.0, extrapolation=1.0, untold=0.0)
+    only_there = with_part(
+        c, "geometry", expected_measured=0.0, extrapolation=1.0, undetermined=0.0
+    )
     certain = with_part(only_there, "geometry", covariance=np.zeros_like(c.covariance))
     of_model, of_nominal, _ = _expected_over_limits(only_there, only_there.geometry)
     _, away, _ = _expected_over_limits(certain, certain.geometry)

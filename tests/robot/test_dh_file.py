@@ -42,6 +42,7 @@ def test_a_table(written):
     )
     assert second == DHRow("J2", False, 5 * deg, 0, 0.455, 0, 0, 1, 0, -100 * deg, 100 * deg)
     assert robot.coupling == {}
+    assert [row.line for row in robot.table.rows] == [5, 6]  # after three comments and the header
     np.testing.assert_array_equal(robot.table.T_base_0, np.eye(4))
 
 

@@ -173,15 +173,22 @@ def test_sentences_about_images_have_the_values_of_their_reasons(why):
 
 def test_a_wrong_cell_of_dh_rows_is_told_with_its_numbers():
     cells = [
-        {"joint": "J4", "column": "d", "unit": "m", "stated": 0.411, "wanted": 0.42},
-        {"joint": "J6", "column": "alpha", "unit": "rad", "stated": 0.0, "wanted": -0.5 * math.pi},
+        {"joint": "J4", "column": "d", "unit": "m", "stated": 0.411, "wanted": 0.42, "line": 6},
+        {
+            "joint": "J6",
+            "column": "alpha",
+            "unit": "rad",
+            "stated": 0.0,
+            "wanted": -0.5 * math.pi,
+            "line": 0,
+        },
     ]
     values = {"given_m": 9e-3, "given_rad": 1.0, "error_m": 1e-5, "error_rad": 1e-4}
     reason = Reason(Why.DH_CELLS, values | {"cells": cells, "elsewhere": "tool"})
     _, _, text = reason_text(reason).partition(" if ")
     assert text == (
-        "'d' of 'J4' is 420 mm instead of 411 mm (9 mm too short) and 'alpha' of 'J6' is -90 deg instead of 0 deg. "
-        "A tool that the controller adds, or the line 'tool', would have the same effect."
+        "'d' of 'J4' (line 6) is 420 mm instead of 411 mm (9 mm too short) and 'alpha' of 'J6' is -90 deg instead of "
+        "0 deg. A tool that the controller adds, or the line 'tool', would have the same effect."
     )
 
 
@@ -193,6 +200,16 @@ def test_a_wrong_cell_of_dh_rows_is_told_with_its_numbers():
 def test_what_predicts_no_other_rows_is_not_asked_about(why, more, falls):
     text = reason_text(Reason.of(why, share=0.3, chance=0.05, p=1e-4, falls=falls, **more))
     assert ("?" in text) == (falls > PREDICTS)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [([6, 7], "'A5' and 'A6' (lines 6 and 7) are"), ([0, 0], "'A5' and 'A6' are")],
+)
+def test_exchanged_rows_are_named_with_their_lines(lines, said):
+    values = {"given_m": 0.2, "given_rad": 1.0, "error_m": 1e-5, "error_rad": 1e-4}
+    values |= {"first": "A5", "second": "A6", "lines": lines}
+    assert said in reason_text(Reason(Why.DH_ROWS_EXCHANGED, values))
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,8 @@ class LinearProblem(Value):
         x: Array,
         covariance: Array,
         weights: Array,
-        stage: tuple[Array, Array],
+        noise: Array,
+        shares: Array,
         in_fit: Mask,
     ) -> tuple[Array, Integers]:
         """Score stops as a whole, by how far a fit without the stop finds its body displaced; see `Stops`.
@@ -224,18 +225,19 @@ class LinearProblem(Value):
             x: shape (B, p), parameters of each of B fits [m, rad, ...].
             covariance: shape (B, p, p), of x, with what the targets of a stop share.
             weights: shape (B, N), of the rows in the body of their stop.
-            stage: Noise, shape (B, C), and shares of stops, shape (B, C, 3).
+            noise: shape (B, C), of each channel, in units of the given sigma.
+            shares: shape (B, C, 3), of the noise, that targets of a stop have in common.
             in_fit: shape (B, S), whether each fit used the stop, with these weights.
 
         Returns:
-            Of S stops the score, shape (B, S), >= 0, converted to that of a point; and the number of directions in
-            which the body can be displaced, shape (B, S).
+            The scores of S stops, shape (B, S), >= 0, converted to those of points; and the numbers of directions in
+            which the bodies can be displaced, shape (B, S).
         """
         assert self.stops is not None
         scores = np.zeros(in_fit.shape)
         directions = np.zeros(in_fit.shape, dtype=np.int_)
-        for b, (noise, shares) in enumerate(zip(*stage, strict=True)):
-            displaced = self.stops.displacements(self.columns, weights[b], noise, shares)
+        for b in range(len(x)):
+            displaced = self.stops.displacements(self.columns, weights[b], noise[b], shares[b])
             A = displaced[..., :-1]
             r = displaced[..., -1] - A @ (x[b] - self.x)
             unit = np.ones((1, *r.shape))

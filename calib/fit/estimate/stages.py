@@ -184,8 +184,9 @@ class Stage:
         rows = linear.stops.rows
         apart = ~in_fit[:, linear.stops.stop_of_row]
         within[:, rows] = np.where(apart, self.repeat_factor[:, rows], within[:, rows])
-        stage = (self.noise, self.stop_shares)
-        scores, directions = linear.stop_scores(x, covariance, within, stage, in_fit)
+        scores, directions = linear.stop_scores(
+            x, covariance, within, self.noise, self.stop_shares, in_fit
+        )
         # What the parameters take from the scalars, they take from the displacements.
         taken = np.sum(self.effective @ linear.used, axis=1) - freedom
         left = np.sum(directions * in_fit, axis=1) - taken

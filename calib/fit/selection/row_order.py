@@ -1,7 +1,7 @@
 """Whether the order of the rows matters: the gain by lost motion against the gain that shuffled orders bring.
 
 Errors that depend on a joint's last move are determined by the order in which the poses were measured. If it does not
-matter, any other order explains the residuals as well. Evidence alone does not tell this where residuals are not white
+matter, any other order explains the residuals as well. Evidence alone does not show this if residuals are not white
 noise: what a joint does at random reaches all rows through the same arm. So a model with such errors is believed only
 if the measured order beats every one of `_ORDERS` orders drawn at random: a permutation test, whose level is about
 1 / (`_ORDERS` + 1) whatever the noise, if the poses were not ordered by what disturbs them.
@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers, Mask
+from calib.basics.arrays import Array, Mask
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.labels import same_poses
 from calib.model.families import family_of
@@ -55,8 +55,8 @@ def order_matters(fitted: Fitted, families: tuple[str, ...]) -> bool:
             prior_std.append(estimated or family_of(parameter.family).prior)
     x = np.where(of_order, 0.0, fitted.estimate.x)
 
-    def gain(moves: Array | None) -> float:
-        """The gain in log-likelihood if these were the last moves, (N, m) [rad] or [m]."""
+    def gain(moves: Array) -> float:
+        """Return the gain in log-likelihood if these were the last moves, (N, m) [rad] or [m]."""
         rows = problem.rows
         moved = replace(rows, samples=replace(rows.samples, moves=moves))
         residual, jacobian = problem.with_rows(moved).system(x)
@@ -66,19 +66,16 @@ def order_matters(fitted: Fitted, families: tuple[str, ...]) -> bool:
     assert samples.moves is not None
     labels = same_poses(np.hstack([samples.q, samples.moves]))
     leaders, arrival = np.unique(labels, return_inverse=True)
+    q = samples.q[leaders]
     measured = gain(samples.moves)
     rng = np.random.default_rng(_SEED)
-    return all(
-        measured > gain(_moves_of(samples.q[leaders], rng.permutation(len(leaders)))[arrival])
-        for _ in range(_ORDERS)
-    )
-
-
-def _moves_of(q: Array, order: Integers) -> Array:
-    """Return the last moves before n arrivals at poses (n, m), [rad] or [m], that come in an order, (n,)."""
-    moves = np.empty(q.shape)
-    moves[order] = last_moves(q[order])
-    return moves
+    for _ in range(_ORDERS):
+        order = rng.permutation(len(q))
+        moves = np.empty(q.shape)
+        moves[order] = last_moves(q[order])
+        if not measured > gain(moves[arrival]):
+            return False
+    return True
 
 
 def _gain(system: Array, of_order: Mask, prior_std: Array) -> float:

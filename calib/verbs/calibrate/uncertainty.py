@@ -228,7 +228,7 @@ def bootstrap(
             progress(done, count)
     # The scale error of the instrument is drawn too: all rows share it.
     scale = np.random.default_rng([seed, 2]).normal(size=(count, 1))
-    x = x + scale * calibration.geometry.growth
+    x = x + scale * calibration.geometry.change_by_scale
     return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
 
 
@@ -344,7 +344,7 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
     x = float(estimate.x[k])
     low, high = profile(partial(_least_cost, fitted, k), x, parameter.std, level, estimate.freedom)
     # The scale error of the instrument, of which the cost knows nothing, is independent of the noise.
-    by_scale = float(ndtri(0.5 + 0.5 * level) * part.growth[k])
+    by_scale = float(ndtri(0.5 + 0.5 * level) * part.change_by_scale[k])
     low, high = x - float(np.hypot(x - low, by_scale)), x + float(np.hypot(high - x, by_scale))
     # Offsets from the registered start become values.
     return Profile(low + parameter.value - x, high + parameter.value - x, level)

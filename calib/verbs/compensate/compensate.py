@@ -146,7 +146,8 @@ def compensate(
     missed = matching.misses(uncorrected.T_base_tool, T_wanted)
     expected = None
     if pair.result and reached.any():
-        expected = expected_errors(pair, corrected.q[reached], moves[reached])
+        at_reached = replace(pair, actual=moved.actual.at_rows(np.flatnonzero(reached)))
+        expected = expected_errors(at_reached, corrected.q[reached])
     commands = Commands(
         pair=pair,
         program=program,

@@ -25,9 +25,9 @@ from scipy.special import chdtri, fdtri, gammaln
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value, keep_read_only
-from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation
 from calib.result.calibration import Calibration
+from calib.result.doubts import CONTRADICTED
 from calib.result.fitted_model import FittedModel
 from calib.verbs.compensate.nominal_actual import Pair
 from calib.verbs.compensate.pose_covariance import (
@@ -57,10 +57,6 @@ _CHANCE = 0.05
 
 #: With fewer degrees of freedom, the scatter of repeats does not determine the noise.
 _FEWEST_REPEATS = 6.0
-
-#: A stated noise so many times that of the residuals is not believed, and the verdict says so. One that is too small
-#: is harmless: what exceeds it counts as error that the model lacks, as it does if no noise is stated.
-_CONTRADICTED = 5.0
 
 #: The largest value of h (1 - h), for a leverage h.
 _LARGEST_RATIO = 0.25
@@ -113,13 +109,13 @@ class ExpectedErrors(Value):
         return max(self.contributions, key=self.contributions.__getitem__)
 
 
-def expected_errors(pair: Pair, q: Array, moves: Array | None = None) -> ExpectedErrors:
+def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     """Compute the expected errors of the true robot at joint values to command.
 
     Args:
-        pair: The nominal robot and that of a result, with the tool and the frame of the program.
+        pair: The nominal robot and that of a result, with the tool and the frame of the program, and with the joints'
+            last moves before each row if they are known.
         q: shape (N, m), joint values to command [rad] or [m].
-        moves: shape (N, m), last move of each joint before, [rad] or [m]; None: not known.
 
     Returns:
         The errors of the N rows, and their sources.
@@ -129,7 +125,7 @@ def expected_errors(pair: Pair, q: Array, moves: Array | None = None) -> Expecte
     """
     result = _result(pair)
     part = result.part(non_geometric=pair.non_geometric)
-    views = _views(pair, result, part, q, moves)
+    views = _views(pair, result, part, q)
     target, tool, arrived = (pose_covariance(part, view) for view in views)
     lacking = _lacking(result, part, float(target.mean_square[1]))
     measured = None
@@ -152,12 +148,8 @@ def _result(pair: Pair) -> Calibration:
     return pair.result
 
 
-def _views(
-    pair: Pair, result: Calibration, part: FittedModel, q: Array, moves: Array | None
-) -> tuple[View, View, View]:
-    """Return views of the measured target, of the tool, and of the tool in the program's frame.
-
-    They are at joint values (N, m), [rad] or [m], after moves (N, m).
+def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tuple[View, View, View]:
+    """Return views of the measured target, of the tool, and of the tool in the program's frame, at joint values (N, m).
 
     The first two are in the measurement frame. If the tool is not a target, the target nearest to it is measured.
     """
@@ -169,10 +161,8 @@ def _views(
     else:
         target = setup.targets.index(pair.target)
     group = 0 if pair.group is None else setup.groups.index(pair.group)
-    load = None if pair.actual.load is None else pair.actual.load(q)
-    samples = replace(
-        Samples.at(q, load, moves), frame=np.full(len(q), group), target=np.full(len(q), target)
-    )
+    frames, targets = np.full(len(q), group), np.full(len(q), target)
+    samples = replace(pair.actual.samples(q), frame=frames, target=targets)
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
 
     in_base, unknown = pair.group is None, bool(unknown_base_directions(result))
@@ -319,7 +309,9 @@ def _instrument_noise(
     believed = []
     for unit, stated in result.noise.sigma_given.items():
         found = result.noise.sigma.get(unit, stated)
-        if unit in _POSE_UNITS and stated < _CONTRADICTED * found:
+        # One that is far above that of the residuals is not believed, and the verdict says so. One that is too small is
+        # harmless: what exceeds it counts as error that the model lacks, as it does if no noise is stated.
+        if unit in _POSE_UNITS and stated < CONTRADICTED * found:
             sigma[unit] = stated
             freedom[unit] = np.inf
             believed.append(unit)

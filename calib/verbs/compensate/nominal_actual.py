@@ -135,7 +135,7 @@ class Arm(Value):
 
     def poses(self, q: Array) -> Array:
         """Compute T_base_tool, shape (N, 4, 4), [m], at readings of the joints, shape (N, m), [rad] or [m]."""
-        return self.kinematics.poses(self.x, self._samples(q))
+        return self.kinematics.poses(self.x, self.samples(q))
 
     def motion(self, q: Array) -> tuple[Array, Array]:
         """Compute poses of the tool, and its velocity with the value of each joint.
@@ -150,14 +150,18 @@ class Arm(Value):
             T_base_tool, shape (N, 4, 4), [m], and twists along the tool's own axes, linear part first, shape (N, 6, m),
             [m or rad per rad or m].
         """
-        poses, twists = self.kinematics.twists(self.x, self._samples(q))
+        poses, twists = self.kinematics.twists(self.x, self.samples(q))
         R_tool_base = np.swapaxes(poses[:, :3, :3], 1, 2)
         in_base = twists[:, :, -len(self.robot.joint_names) :]
         linear, angular = R_tool_base @ in_base[:, :3], R_tool_base @ in_base[:, 3:]
         return poses, np.concatenate([linear, angular], axis=1)
 
-    def _samples(self, q: Array) -> Samples:
-        """Return N samples of readings (N, m) [rad] or [m], with the joints' loads if an error depends on them."""
+    def samples(self, q: Array) -> Samples:
+        """Return joint values as a prediction takes them, with the last moves, and the loads if an error needs them.
+
+        Args:
+            q: Shape (N, m), readings of the joints, [rad] or [m], at the N rows of ``moves`` if these are known.
+        """
         return Samples.at(q, None if self.load is None else self.load(q), self.moves)
 
 

@@ -92,7 +92,7 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     # The scale error of the instrument is one more unknown.
-    growth = np.pad(part.growth, (0, 6))
+    growth = np.pad(part.change_by_scale, (0, 6))
     if view.T_tip_tool is not None:
         growth[:p][part.model.family(TARGET)] = 0.0
     whole_root = np.column_stack([root, growth])

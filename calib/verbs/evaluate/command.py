@@ -173,12 +173,9 @@ def evaluate(
     check_outputs([json, report], inputs, force=force)
     limits = acceptance_options.limits()
     cell = cell_options.cell()
-    result, name, origins = None, "", Origins(command=command_line())
+    result = None
     if calibration is not None:
         result = read_result(calibration)
-        contents = read_bytes(calibration, "calibration result")
-        name, sha256 = calibration.name, hashlib.sha256(contents).hexdigest()
-        origins = replace(origins, result=name, result_sha256=sha256, run=result.run)
         cell = with_chain_of_result(cell, result, str(calibration))
     completed = cell if result is None else result.complete_cell(cell)
     boards, cameras = list(completed.boards.values()), list(completed.cameras.values())
@@ -203,9 +200,16 @@ def evaluate(
         limits=limits,
     )
 
-    origins = replace(origins, target=target_source)
-    if result is not None:
-        origins = replace(origins, other_run=other_run_sentence(arm, result, name))
+    origins = Origins(target=target_source, command=command_line())
+    if result is not None and calibration is not None:
+        contents = read_bytes(calibration, "calibration result")
+        origins = replace(
+            origins,
+            result=calibration.name,
+            result_sha256=hashlib.sha256(contents).hexdigest(),
+            run=result.run,
+            other_run=other_run_sentence(arm, result, calibration.name),
+        )
     if json is not None:
         write_table(assessment_table(assessment), json, overwrite=force)
     if report is not None:

@@ -61,7 +61,8 @@ class FleetParameter:
     unit: str
     #: Calibrated minus nominal; of a target its position in the tip
     change: float
-    #: Standard deviation; NaN if the measurements do not determine the parameter, or a bound stopped it
+    #: Standard deviation without a scale error of the instrument, which robots share; NaN if the measurements do not
+    #: determine the parameter, or a bound stopped it
     std: float
 
 
@@ -138,16 +139,18 @@ class FleetRow:
             unseen, unseen_rms = "validation", _rms_by_unit(calibrated["validation"])
         elif calibration.cross_validation is not None:
             unseen = "cross-validation"
-        # Robots are compared by the parameters of robot and target; those of frames are of the instrument's place.
+        # Robots are compared by the parameters of robot and target; those of frames are of the instrument's place. The
+        # covariance leaves the instrument's scale error out: all robots that it measured share it.
         compared = []
-        estimates = zip(calibration.parameters, calibration.model.parameters, strict=True)
-        for estimated, parameter in estimates:
+        stds = np.sqrt(np.diag(calibration.covariance))
+        estimates = zip(calibration.parameters, calibration.model.parameters, stds, strict=True)
+        for estimated, parameter, std in estimates:
             if parameter.family == FRAME:
                 continue
             change = estimated.value if parameter.family == TARGET else estimated.delta
-            determined = estimated.identifiable and not estimated.at_bound
-            std = estimated.std if determined else math.nan
-            compared.append(FleetParameter(estimated.name, estimated.unit, change, std))
+            if not estimated.identifiable or estimated.at_bound:
+                std = math.nan
+            compared.append(FleetParameter(estimated.name, estimated.unit, change, float(std)))
 
         robot, measurements = calibration.nominal, calibration.fit.measurements
         non_geometric = calibration.non_geometric

@@ -10,7 +10,9 @@ from dataclasses import replace
 import pytest
 
 from calib.basics.json_files import json_bytes
+from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.result.calibrate import calibrate
 from calib.verbs.fleet.fleet_row import (
     DONE,
     FAILED,
@@ -68,6 +70,23 @@ def test_the_csv_table_is_in_mm_with_texts_and_empty_cells():
     assert (second["outlier"], second["sigma [mm]"]) == ("", "")
     assert second["message"] == "no rows, at all"
     assert {"kind", "measured", "parameters"}.isdisjoint(first)
+
+
+def test_a_scale_error_that_all_robots_share_hides_no_difference_between_them(ur3, paper_table):
+    exact, unknown = (
+        calibrate(
+            ur3, paper_table, cell=Cell(model="dh", scale_certified=certified), validate=False
+        )
+        for certified in (True, False)
+    )
+    name = "a3"
+    assert unknown.parameter(name).std > 2.0 * exact.parameter(name).std
+    stds = [
+        {parameter.name: parameter.std for parameter in FleetRow.of("r", c).parameters}
+        for c in (exact, unknown)
+    ]
+    assert stds[0] == pytest.approx(stds[1], rel=1e-9, nan_ok=True)
+    assert stds[0][name] == pytest.approx(exact.parameter(name).std)
 
 
 def test_names_that_utf_8_does_not_have_are_escaped():

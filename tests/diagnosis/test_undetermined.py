@@ -1,4 +1,4 @@
-"""Errors that the rows cannot tell: expected where joints moved little, hardly where they moved over their ranges."""
+"""Errors that the rows do not determine: expected if joints moved little, hardly if they moved over their ranges."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def test_eccentricity_in_a_corner_is_expected_over_the_joint_limits(ur3, seed):
     assert 0.4 * true < result.new_point[1] < 3.0 * true
     assert result.verdict.use != "use"
     # By the covariance alone, far too little was expected.
-    assert model.untold > 3.0 * model.expected_everywhere
+    assert model.undetermined > 3.0 * model.expected_everywhere
 
 
-def test_rows_all_over_the_limits_tell_all(ur3):
+def test_rows_all_over_the_limits_determine_all(ur3):
     """There eccentricity is seen among the residuals, and nothing beyond them is expected."""
     result, true = calibrated_in_part(ur3, 1.0, 3)
     assert result.new_point[1] == pytest.approx(true, rel=0.5)
-    assert result.geometry.untold < 0.5 * true
+    assert result.geometry.undetermined < 0.5 * true
 
 
 @pytest.mark.parametrize("key", ["off", "paper"])
@@ -65,11 +65,11 @@ def test_without_priors_nothing_is_added(ur3, key):
         result = calibrate(
             ur3, table, cell=Cell(priors=Priors(source="off")), model="dh", validate=False
         )
-    assert result.geometry.untold == 0.0
+    assert result.geometry.undetermined == 0.0
 
 
 def test_the_larger_of_two_estimates_of_what_is_lacking_counts(ur3):
     model = calibrated_in_part(ur3, 1.0, 3)[0].geometry
-    u, f = model.untold, model.extrapolation
+    u, f = model.undetermined, model.extrapolation
     for v in (-1e-6, 0.0, 1e-9, 1e-4):
         assert model.added_variance(v) == pytest.approx(max((f if v > 0 else 1) * v, v + u * u))
