@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -583,40 +584,36 @@ def _trials_of_order(
         return
 
     def moved(first: int, *, up: bool, named: bool) -> Rows:
-        """Return the rows with the measurements from a row on put back; those names belong to joint values or not."""
+        """Return some rows, the measurements from a row on put back; names belong to the joint values or to these."""
         numbers = np.arange(last + 1)
         without, whole = numbers != first, numbers < last
         joints, measured = (without, whole) if up else (whole, without)
         labelled = rows.select(joints if named else measured)
         samples = replace(labelled.samples, q=rows.joints[joints])
-        return replace(labelled, samples=samples, measured=rows.measured[measured])
+        put_back = replace(labelled, samples=samples, measured=rows.measured[measured])
+        return put_back.select(put_back.evenly(_ROWS))
 
+    def error(first: int, *, up: bool, named: bool) -> float:
+        """Return the error on a screen if the measurements from a row on are put back [m]."""
+        trial = moved(first, up=up, named=named)
+        (of_trial,) = screened_errors(robot, free, trial, trial.joints[None], trial.measured)
+        return float(of_trial)
+
+    places = np.unique(np.linspace(0, last, _ORDERS).astype(int)).tolist()
+    spacing = int(np.max(np.diff(places)))
     several = len(setup.groups) > 1 or len(setup.targets) > 1
-    for up in (True, False):
-        for named in (False, True) if several else (False,):
-            firsts = np.unique(np.linspace(0, last, _ORDERS).astype(int))
-            spacing = int(np.max(np.diff(firsts)))
-            best = 0
-            for candidates in (firsts, np.arange(-spacing + 1, spacing)):
-                chosen = candidates if candidates is firsts else best + candidates
-                chosen = chosen[(chosen >= 0) & (chosen <= last)]
-                errors = []
-                for first in chosen.tolist():
-                    trial = moved(first, up=up, named=named)
-                    part = trial.select(trial.evenly(_ROWS))
-                    (error,) = screened_errors(robot, free, part, part.joints[None], part.measured)
-                    errors.append(error)
-                best = int(chosen[np.argmin(errors)])
-                if spacing == 1:
-                    break
-            if best == last:
-                continue
-            factor, mistake = _ONE_OF_MANY, Reason.of(Why.ROWS_SHIFTED, later=not up)
-            if best > 0:
-                row = int(row_numbers[best])
-                factor, mistake = _FREE, Reason.of(Why.ROWS_MOVED, row=row, up=up)
-            trial = moved(best, up=up, named=named)
-            yield Trial(factor, robot, free, trial.select(trial.evenly(_ROWS)), mistake)
+    for up, named in itertools.product((True, False), (False, True) if several else (False,)):
+        of_place = partial(error, up=up, named=named)
+        near = min(places, key=of_place)
+        between = range(max(near - spacing + 1, 0), min(near + spacing, last + 1))
+        best = min(between, key=of_place)
+        if best == last:
+            continue
+        factor, mistake = _ONE_OF_MANY, Reason.of(Why.ROWS_SHIFTED, later=not up)
+        if best > 0:
+            row = int(row_numbers[best])
+            factor, mistake = _FREE, Reason.of(Why.ROWS_MOVED, row=row, up=up)
+        yield Trial(factor, robot, free, moved(best, up=up, named=named), mistake)
 
 
 def _pairs(

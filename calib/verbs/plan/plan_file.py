@@ -222,7 +222,7 @@ def read_poses(
             table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
 
     Returns:
-        The poses in the table's order, columns as ``robot.joint_names``.
+        The poses in the order in which the table says they are measured, columns as ``robot.joint_names``.
 
     Raises:
         MeasurementError: The table cannot be read as one of this robot, or no row is left.
@@ -230,19 +230,21 @@ def read_poses(
     table = Table.read(path)
     # A row of the kind ``fixed`` has its joint values alone.
     layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
-    rows = Measurements(**read_values(table, layout))
-    is_via = np.zeros(len(table.cells), dtype=np.bool_)
-    if "set" in layout.words:
-        is_via = np.array(table.column(layout.words["set"]), dtype=np.str_) == VIA
+    rows = Measurements(**read_values(table, layout, as_measured=True))
+    named, _ = name_columns(table, robot.joint_names, {})
     chosen = np.ones(len(rows), dtype=np.bool_)
     if taken:
         # A row measures something by a cell, or by a kind that needs none.
-        named, _ = name_columns(table, robot.joint_names, {})
-        columns_of_values = [*POINT, "distance", "pair"]
+        columns_of_values = [*POINT, "distance", "pair", "u"]
         indices = [named[name].index for name in columns_of_values if name in named]
         kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
-        has_value = np.array([any(cells[i] for i in indices) for cells in table.cells], np.bool_)
-        measured = (has_value | np.isin(kinds, _WITHOUT_CELLS))[~is_via]
+        numbers = table.column(named["row"]) if "row" in named else range(1, len(kinds) + 1)
+        with_value = {
+            int(number)
+            for number, kind, cells in zip(numbers, kinds, table.cells, strict=True)
+            if number and (kind in _WITHOUT_CELLS or any(cells[i] for i in indices))
+        }
+        measured = np.array([number in with_value for number in rows.rows], dtype=np.bool_)
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
@@ -255,15 +257,15 @@ def read_poses(
         first_rows.setdefault((pose, repeats[pose, target]), i)
         repeats[pose, target] += 1
     first = [*first_rows.values()]
-    named, _ = name_columns(table, (), {})
     names = table.column(named["image"]) if "image" in named else []
-    numbers = [_NUMBER.findall(Path(name).stem) for name in names]
+    of_images = [_NUMBER.findall(Path(name).stem) for name in names]
+    is_through = len(rows) < len(table.cells)
     return Poses(
         joints=read_only(rows.joints[first]),
         sets=tuple(rows.sets[i] for i in first),
         last_row=max(rows.rows),
-        last_image=max((int(digits[-1]) for digits in numbers if digits), default=0),
-        moves=read_only(rows.moves_for(robot.joint_names)[first]) if is_via.any() else None,
+        last_image=max((int(digits[-1]) for digits in of_images if digits), default=0),
+        moves=read_only(rows.moves_for(robot.joint_names)[first]) if is_through else None,
     )
 
 
