@@ -282,9 +282,7 @@ _DH_ELSEWHERE = {
 _DH_DIGIT = 0.005
 
 #: Second sentence of a reason that much remains, if the non-geometric model leaves far less.
-_BETTER = (
-    " The non-geometric model '{model}' leaves {less}. No URDF can represent it: " + _COMPENSATE
-)
+_BETTER = " The non-geometric model '{model}' leaves {less}: " + _COMPENSATE
 
 
 def reason_text(reason: Reason) -> str:

@@ -238,11 +238,13 @@ def read_poses(
         columns_of_values = [*POINT, "distance", "pair", "u"]
         indices = [named[name].index for name in columns_of_values if name in named]
         kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
-        numbers = table.column(named["row"]) if "row" in named else range(1, len(kinds) + 1)
+        numbers = [*range(1, len(kinds) + 1)]
+        if "row" in named:
+            numbers = [int(number or 0) for number in table.column(named["row"])]
         with_value = {
-            int(number)
+            number
             for number, kind, cells in zip(numbers, kinds, table.cells, strict=True)
-            if number and (kind in _WITHOUT_CELLS or any(cells[i] for i in indices))
+            if kind in _WITHOUT_CELLS or any(cells[i] for i in indices)
         }
         measured = np.array([number in with_value for number in rows.rows], dtype=np.bool_)
         chosen = rows.estimation & (measured | (not measured.any()))
