@@ -167,7 +167,7 @@ EDGES = {
     "base 10 mm off": Edge(("base_moved",), base=displaced_base(10e-3)),
     "base 5 mm off": Edge(("base_moved",), base=displaced_base(5e-3)),
     "base 1 deg off": Edge(("base_moved",), base=displaced_base(angle=np.radians(1.0))),
-    "base 2 deg off": Edge(("base_moved",), base=displaced_base(angle=np.radians(2.0))),
+    "base 2 deg off": Edge(("base_moved", "own_frame"), base=displaced_base(angle=np.radians(2.0))),
     "target 280 mm off": Edge(("target_far",), given=displaced_target(0.28)),
     "last joint turned": Edge(("joints_turned", "joint_zero"), read=last_turned),
     "last joint turned, target given": Edge(
