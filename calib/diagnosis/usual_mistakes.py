@@ -78,9 +78,6 @@ _LEAST_TURN = 0.1
 #: Relative step of factors of a joint: at one turn it is 0.2 rad, within which a minimum of the error is found.
 _FACTOR_STEP = 0.03
 
-#: Factors of a joint that differ by less are one: errors of an uncalibrated arm move a factor by some tenths of this.
-_SAME_FACTOR = 0.01
-
 #: Rounds in which a factor is sought: each twenty times as fine, the last one to 1e-5.
 _FACTOR_ROUNDS = 3
 
@@ -534,7 +531,8 @@ def _best_factors(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Correction
     """Yield for each turning joint the factor on its readings that explains the rows best, of either sign.
 
     Factors are tried that make the largest reading between `_LEAST_TURN` and one turn, in steps of `_FACTOR_STEP`; then
-    those between the best one's neighbours.
+    those between the best one's neighbours. A factor is not yielded if the next simple one, such as -1, explains the
+    rows as well: the errors of an uncalibrated arm move it, most at the last joint.
     """
     for joint, (name, largest) in enumerate(
         zip(robot.joint_names, np.max(np.abs(rows.joints), axis=0).tolist(), strict=True)
@@ -551,8 +549,12 @@ def _best_factors(robot: Robot, setup: Setup, rows: Rows) -> Iterator[Correction
             factor = best[1].values["factor"]
             factors = factor * np.exp(np.linspace(-step, step, _TRIED))
             step *= 2.0 / (_TRIED - 1)
-        size = abs(factor)
-        if not any(abs(size / simple - 1.0) < _SAME_FACTOR for simple in SIMPLE_FACTORS):
+        distances = np.abs(np.log(abs(factor) / np.array(SIMPLE_FACTORS)))
+        simple = np.copysign(SIMPLE_FACTORS[int(np.argmin(distances))], factor)
+        both = list(scale_column(name, joint, rows.joints, np.array([factor, simple])))
+        q = np.array([joints for joints, _ in both])
+        of_best, of_simple = screened_errors(robot, setup, rows, q, rows.measured)
+        if of_simple > AS_GOOD * of_best:
             yield best
 
 

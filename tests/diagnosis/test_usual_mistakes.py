@@ -17,6 +17,7 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.trials import with_joints
 from calib.diagnosis.usual_mistakes import (
+    _best_factors,
     _choose,
     _some_rows,
     _turned_joints,
@@ -243,6 +244,25 @@ def test_all_signs_of_few_joints_are_tried_and_single_ones_of_many(
     # An unknown frame makes each trial expensive.
     _, free = rows_and_setup(ur3, thirty, Cell(estimate_frame=True))
     assert len(list(_turned_joints(ur3, free, rows))) == 6
+
+
+def test_a_factor_that_a_sign_explains_as_well_is_no_mistake_of_its_own():
+    """The arm's own errors make another factor a little better; a real one is far from any sign or unit."""
+    robot = Robot.load("ur5", base="base_link", tip="tool0")
+    truth = draw_truth(robot, "dh", seed=1300)
+    q = random_joint_values(robot, 30, 1350)
+    points = truth.points(q)
+
+    def factors(of_last: float) -> dict[str, float]:
+        read = q * np.where(np.arange(6) == 5, of_last, 1.0)
+        table = Measurements(robot.joint_names, read, points)
+        rows, setup = rows_and_setup(robot, table, Cell())
+        unknown = replace(setup, target_unknown=np.ones_like(setup.target_unknown))
+        found = [mistake for _, mistake in _best_factors(robot, unknown, rows)]
+        return {mistake.values["joint"]: mistake.values["factor"] for mistake in found}
+
+    assert "wrist_3_joint" not in factors(-1.0)
+    assert factors(0.5)["wrist_3_joint"] == pytest.approx(2.0, rel=0.03)
 
 
 def test_sixty_rows_evenly_over_a_long_table_are_looked_at(ur3: Robot):
