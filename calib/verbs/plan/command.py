@@ -275,10 +275,12 @@ def plan(
         target = next(iter(cell.targets.values()), cell.target)
         region = read_region(scene.region, arm, target)
     taken: Array | None = None
+    taken_moves: Array | None = None
     first_row = 1
     if poses.taken is not None:
         measured = read_poses(poses.taken, arm, taken=True)
-        taken, first_row = measured.joints, next_number(instrument, measured)
+        taken, taken_moves = measured.joints, measured.moves
+        first_row = next_number(instrument, measured)
     with stages_bar(quiet=quiet) as progress:
         planned = plan_poses(
             arm,
@@ -286,6 +288,7 @@ def plan(
             request,
             region=region,
             taken=taken,
+            taken_moves=taken_moves,
             collisions=scene.check(),
             progress=progress,
         )

@@ -32,6 +32,7 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError
 from calib.instruments.camera import CameraInstrument, board_tilts
 from calib.instruments.instrument import Instrument
+from calib.numerics.moves import SAME_POSE, last_moves
 from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
 from calib.verbs.plan.approach import side_name
@@ -203,7 +204,7 @@ class Poses(NamedTuple):
     last_row: int
     #: Largest number in the name of an image; 0 without images.
     last_image: int
-    #: Shape (N, m), last move of each joint before each pose [rad] or [m]; None: from the pose before.
+    #: Shape (N, m), last move of each joint before each pose [rad] or [m]; None: from the pose before in ``joints``.
     moves: Array | None
 
 
@@ -232,15 +233,15 @@ def read_poses(
     layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
     rows = Measurements(**read_values(table, layout, as_measured=True))
     named, _ = name_columns(table, robot.joint_names, {})
+    numbers = [*range(1, len(table.cells) + 1)]
+    if "row" in named:
+        numbers = [int(number or 0) for number in table.column(named["row"])]
     chosen = np.ones(len(rows), dtype=np.bool_)
     if taken:
         # A row measures something by a cell, or by a kind that needs none.
         columns_of_values = [*POINT, "distance", "pair", "u"]
         indices = [named[name].index for name in columns_of_values if name in named]
         kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
-        numbers = [*range(1, len(kinds) + 1)]
-        if "row" in named:
-            numbers = [int(number or 0) for number in table.column(named["row"])]
         with_value = {
             number
             for number, kind, cells in zip(numbers, kinds, table.cells, strict=True)
@@ -261,13 +262,14 @@ def read_poses(
     first = [*first_rows.values()]
     names = table.column(named["image"]) if "image" in named else []
     of_images = [_NUMBER.findall(Path(name).stem) for name in names]
-    is_through = len(rows) < len(table.cells)
+    joints, moves = rows.joints[first], rows.moves_for(robot.joint_names)[first]
+    is_as_before = np.allclose(moves, last_moves(joints), rtol=0.0, atol=SAME_POSE)
     return Poses(
-        joints=read_only(rows.joints[first]),
+        joints=read_only(joints),
         sets=tuple(rows.sets[i] for i in first),
-        last_row=max(rows.rows),
+        last_row=max(numbers),
         last_image=max((int(digits[-1]) for digits in of_images if digits), default=0),
-        moves=read_only(rows.moves_for(robot.joint_names)[first]) if is_through else None,
+        moves=None if is_as_before else read_only(moves),
     )
 
 
