@@ -304,7 +304,8 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
         )
     else:
-        what = f"'{text}' is not a finite number. Write it as 123.45; the unit is in the header."
+        unit_is_there = "; the unit is in the header" if column.unit is not None else ""
+        what = f"'{text}' is not a finite number. Write it as 123.45{unit_is_there}."
     table.fail(row, column, what, layout.words.get("row"))
 
 
