@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -56,7 +56,7 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
     geometry, fitted = result.geometry, result.fit.geometry
     residual = result.rows.residual_calibrated
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
-    every_note = (*notes, *_notes(result))
+    every_note = (*notes, *without_explained(_notes(result), doubts))
     evidence = replace(evidence, notes=every_note, non_geometric=usable)
     return replace(result, geometry=replace(geometry, verdict=judge(evidence)))
 
@@ -236,6 +236,20 @@ def _lags(model: FittedModel) -> Iterator[Reason]:
             size = {"rad": "lag_rad", "m": "lag_m"}.get(largest.unit, "lag_share")
             values = {size: largest.value, "others_short": len(found) - 1}
             yield Reason.of(why, joint=largest.name.removesuffix(suffix), **values)
+
+
+def without_explained(notes: Iterable[Reason], doubts: Iterable[Reason]) -> tuple[Reason, ...]:
+    """Leave out joints that creep if joint values are late: both look alike along a path, and the doubt is tested.
+
+    Args:
+        notes: Reasons that only inform.
+        doubts: Findings besides errors.
+
+    Returns:
+        The other notes, in their order.
+    """
+    is_late = any(doubt.why is Why.JOINTS_LATE for doubt in doubts)
+    return tuple(note for note in notes if not (is_late and note.why is Why.CREEPS))
 
 
 def _notes(result: Calibration) -> Iterator[Reason]:
