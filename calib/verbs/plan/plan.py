@@ -273,7 +273,7 @@ def plan(
     fitted = np.concatenate([measured, route.joints[is_fitted]])
     fitted_moves = np.concatenate([measured_moves, route.moves[is_fitted]])
     expected = choice.forecast
-    if sensitivity.depends_on_moves:  # now that the order is known
+    if sensitivity.kinematics.model.depends_on_moves:  # now that the order is known
         expected = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
     notes = _scale_notes(sensitivity, pool, fitted, expected.rms)
     notes += sensitivity.notes
