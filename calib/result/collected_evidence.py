@@ -16,6 +16,7 @@ from calib.diagnosis.reasons import NO, Reason, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.numerics.errors import Errors
+from calib.numerics.moves import is_from_one_side
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibration import Calibration
 from calib.result.doubts import find_doubts, negative_compliances, noise_doubts
@@ -269,8 +270,7 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield from _lags(larger)
 
     m = result.fit.measurements
-    signs = np.sign(m.moves_for(result.nominal.joint_names)[m.estimation])
-    if len(signs) and np.all(signs == signs[0]) and signs[0].any():
+    if is_from_one_side(m.moves_for(result.nominal.joint_names)[m.estimation]):
         yield Reason.of(Why.ONE_SIDED)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])

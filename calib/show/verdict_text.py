@@ -268,6 +268,8 @@ SENTENCES = {
     "estimate.",
     Why.TARGET_MOVED: _REGISTERED_AGAIN
     + "target is registered again: was it remounted? Then give its position with --target.",
+    Why.OTHER_SIDES: "At the calibration all joints arrived at every pose from one side, here they did not: the errors "
+    "contain lost motion, if there is some.",
 }
 
 #: Second sentence on a cell, by what has the same effect.
