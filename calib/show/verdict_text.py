@@ -34,8 +34,8 @@ _TURNED = (
     "{error_rad:deg.1f} deg if "
 )
 _REGISTERED_AGAIN = (
-    "The rms error is {given_m:mm.3g} mm with the frame and target of the result, but only "
-    "{error_m:mm.3g} mm if the "
+    "The rms error is {given_m:mm.2f} mm with the frame and target of the result, but only "
+    "{error_m:mm.2f} mm if the "
 )
 _NOT_NOISE = "The residuals are not noise: "
 _SHARE = "explains {explained} % of them (by chance {chance_explains} %; {chance_p})"

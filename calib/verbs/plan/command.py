@@ -301,7 +301,7 @@ def plan(
 
         plan_page(planned, first_row=first_row).write(view, overwrite=force)
     if not quiet:
-        typer.echo("\n".join([plan_text(planned), "", *written_lines(*files)]))
+        typer.echo("\n".join([plan_text(planned, first_row), "", *written_lines(*files)]))
 
 
 def pose_of(text: str, option: str) -> Array:
