@@ -81,7 +81,7 @@ class Plan(Value):
     targets: tuple[str, ...]
     #: Shape (targets, 4, 4), their poses in the tip [m].
     T_tip_target: Array
-    #: shape (K, targets, 3), each target (of a board its centre) as the nominal robot predicts it, in the measurement
+    #: Shape (K, targets, 3), each target (of a board its centre) as the nominal robot predicts it, in the measurement
     #: frame if that is known, else in the base [m].
     expected: Array
     #: The parameter set planned for.
@@ -272,10 +272,10 @@ def plan(
     is_fitted = route.order < len(choice.planned)
     fitted = np.concatenate([measured, route.joints[is_fitted]])
     fitted_moves = np.concatenate([measured_moves, route.moves[is_fitted]])
-    expected = choice.forecast
+    forecast = choice.forecast
     if sensitivity.kinematics.model.depends_on_moves:  # now that the order is known
-        expected = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
-    notes = _scale_notes(sensitivity, pool, fitted, expected.rms)
+        forecast = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
+    notes = _scale_notes(sensitivity, pool, fitted, forecast.rms)
     notes += sensitivity.notes
     if known.reflector is not None and known.tracker is None:
         notes.append(Note("reflector_not_checked"))
@@ -295,7 +295,7 @@ def plan(
         expected=read_only(sensitivity.expected(route.joints)),
         model=sensitivity.kinematics.model.name,
         kind=instrument.kind.name,
-        forecast=expected,
+        forecast=forecast,
         before=choice.before,
         at_random=choice.at_random,
         ladder=choice.ladder,
@@ -343,9 +343,9 @@ def _conditions(
 
 
 def _approach_free(body: CollisionModel, sides: Array, q: Array) -> Mask:
-    """Return at which poses (n, m) the ways by which they are approached, from all sides (s, m), are free.
+    """Test at which poses (n, m) the last moves, from all sides (s, m), are free; shape (n,).
 
-    They are tested at steps of a third.
+    A move of a few degrees is tested where it begins and at each third; its end is the pose itself.
     """
     ways = [q - share * side for side in sides for share in (1.0, 2 / 3, 1 / 3)]
     return np.asarray(np.all([body.free(way) for way in ways], axis=0))
