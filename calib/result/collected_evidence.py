@@ -147,14 +147,16 @@ def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
 def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[float, float, float]:
     """Return expected errors over the joint limits, rms [m]: of a model, of the nominal robot, and the scale's part.
 
-    With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
-    variance w that is added to this beyond them (`FittedModel.added_variance`), the model is off by e^2 = v_0 + w. It
-    is d away from the nominal robot, of which w - (v - v_0) is error of its own: the nominal robot is off by d^2 - (w -
-    (v - v_0)) + v, and by no less than the model, as far as rows and covariance say.
+    The squares, mean over 200 joint values, are
 
-    A scale error s of the instrument, with the mean m and the variance u, adds (m^2 + u) |J g|^2 to the model's e^2, by
-    the growth g of the parameters; the nominal robot's d is then that from the model less m g, and u |J g|^2 is added.
-    If all of the model's changes are scale, the nominal robot is right, and off by less than the model.
+        of the model:          v_0 + w + (m^2 + u) |J g|^2
+        of the nominal robot:  max(d^2 - (w - (v - v_0)) + v, v_0 + w) + u |J g|^2
+
+    with the variance v of a predicted position, v_0 at the measured poses, and the variance w that is added to this
+    beyond them (`FittedModel.added_variance`). Both robots are d apart, of which w - (v - v_0) is error of the model
+    that its covariance lacks. A scale error of the instrument, with the mean m and the variance u, changes the
+    parameters by the growth g each; d is then that from the model less m g. If all of the model's changes are scale,
+    the nominal robot is right, and off by less than the model.
 
     If the frame was estimated, or no row determines where the base stands, rigid motions of all positions do not count.
     """
