@@ -219,7 +219,7 @@ SENTENCES = {
     "the masses, the payload and the direction of gravity right?",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the non-geometric model '{model}' the error on held-out rows is {after} "
-    "(verdict: {use}). No URDF can represent it; calib compensate and predict() use it.",
+    "(verdict: {use}). No URDF can represent it{used_by}.",
     Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions on held-out "
     "rows: {after}.",
     Why.STOPS_SHORT: "'{joint}' {stops} after each move{other_joints}: calib compensate and predict() correct this by "
@@ -404,6 +404,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "explained": _percent(values.get("share", 0.0)),
         "chance_explains": _percent(values.get("chance", 0.0)),
         "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
+        "used_by": "" if values.get("use") == NO else "; calib compensate and predict() use it",
         "lag_behind": "lag behind" if of_step > 0.0 else "are ahead of",
         "of_step_abs": f"{100.0 * abs(of_step):.1f}",
         "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",
