@@ -213,6 +213,8 @@ def test_tables_of_every_kind_count(table, arm):
     )  # fmt: skip
     taken = read_poses(mixed, arm, taken=True)
     assert degrees(taken) == [1.0, 2.0, 4.0]
+    listed = table("point,j1 [deg]", "P1,1", ",2", "P3,3")  # the list has the points
+    assert degrees(read_poses(listed, arm, taken=True)) == [1.0, 3.0]
 
 
 # The forecast
