@@ -87,16 +87,21 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
     fit_sizes[: len(prior.names)] = [estimate.prior_std[name] for name in prior.names]
     first_varied = 0 if task.cell.priors.source == "data" else len(prior.names)
     sizes = _grid_of_sizes(fit_sizes, typical, first_varied)
-    of_families = (1.0 / sizes**2) @ families
-    priors = GaussianPriors(of_families + own, mean)
+    precision_by_family = (1.0 / sizes**2) @ families
+    priors = GaussianPriors(precision_by_family + own, mean)
+
+    # Parameters, covariance and likelihood at each of the k sizes: one problem, k priors.
     noise = np.tile(estimate.noise, (len(sizes), 1))
     equations = linear.normal_equations(
         estimate.problem.weights[None], estimate.problem.stop_shares
     )
     equations = equations.of_fits(np.zeros(len(sizes), dtype=int))
     x, covariance = equations.posterior(noise, priors)
-    flat = np.pad(prior.flat, (0, count))
-    likelihood = equations.log_likelihood(noise, priors, np.where(flat, 0.0, priors.precision))
+    is_flat = np.pad(
+        prior.flat, (0, count)
+    )  # frames and targets, whose weak priors are not counted
+    counted_precision = np.where(is_flat, 0.0, priors.precision)
+    likelihood = equations.log_likelihood(noise, priors, counted_precision)
 
     def squares(samples: Samples) -> Array:
         """Return the expected squares of predicted positions at each of the sizes, mean over samples [m^2]."""

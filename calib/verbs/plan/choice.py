@@ -173,7 +173,7 @@ def choose_poses(
     q = pool.q[~repeated]
     request.check(len(q))
 
-    # What is measured of a pose from all sides.
+    # What all visits of a pose measure, (n, s d, p).
     measured = sensitivity.measured(*visits(q, sides)).reshape(len(q), -1, len(sensitivity.names))
     workspace = Workspace.of(sensitivity, pool.workspace, pool.measurable)
     known = np.diag(sensitivity.precision)
