@@ -128,7 +128,8 @@ def read_values(
         of_measured[name] = np.where(measured[:, None], block, np.nan)
     check_units(table, layout, of_measured)
 
-    # All rows as the robot went to them; unmeasured ones whose place is not known come last, after all that matter.
+    # All rows as the robot went to them; those without an order, which are not measured, come last, where no move of
+    # another row begins.
     sequence = np.arange(count)
     if "order" in blocks:
         sequence = np.argsort(blocks["order"][:, 0], kind="stable")
@@ -148,10 +149,9 @@ def read_values(
         of_all = np.empty(visited.shape)
         of_all[sequence] = last_moves(visited[sequence])
         moves = of_all[kept]
-        for column, stated in zip(
-            layout.blocks.get("moves", ()), si.get("moves", np.empty((0, 0))).T, strict=True
-        ):
-            moves[:, _joint_names(layout).index(column.name.removesuffix(MOVE))] = stated
+    if moves is not None and "moves" in si:  # what the table states counts
+        stated = [column.name.removesuffix(MOVE) for column in layout.blocks["moves"]]
+        moves[:, [_joint_names(layout).index(name) for name in stated]] = si["moves"]
     words_of_rows = {}
     for attribute, (column_name, _) in WORD_COLUMNS.items():
         cells = words.get(column_name, ())
@@ -304,7 +304,8 @@ def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> N
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."
         )
     else:
-        what = f"'{text}' is not a finite number. Write it as 123.45; the unit is in the header."
+        unit_is_there = "; the unit is in the header" if column.unit is not None else ""
+        what = f"'{text}' is not a finite number. Write it as 123.45{unit_is_there}."
     table.fail(row, column, what, layout.words.get("row"))
 
 

@@ -29,8 +29,8 @@ from calib.diagnosis.residual_patterns import displacements_of
 from calib.fit.estimate.fitting import Fitted
 from calib.numerics.errors import rms
 
-#: Joints that lag, each by its own share, are not late, nor is what another error of each joint makes up. With one
-#: share for all joints the effect differs by less than this part of it, a quarter of its square.
+#: Late joints share one delay: shares of their own would change its effect by less than this part of it, a quarter of
+#: its square. Joints that lag each for itself, or have other errors, need shares that differ.
 _ALIKE = 0.5
 
 
@@ -54,7 +54,7 @@ def late_joints(fitted: Fitted, q: Array, rows: Integers) -> Iterator[Reason]:
     if len(q) < 3 or estimate.freedom < FEWEST_FREEDOM or noise < ROUNDING_NOISE:
         return
 
-    # Poses in any order change direction from row to row; an arm on its way hardly does.
+    # An arm on its way hardly changes direction from row to row; poses in any order do.
     way = np.gradient(q, axis=0)
     turn = np.diff(q, n=2, axis=0)
     if rms(turn) >= rms(way[1:-1]):
@@ -66,24 +66,25 @@ def late_joints(fitted: Fitted, q: Array, rows: Integers) -> Iterator[Reason]:
         if f"{joint.name}.zero" in model.names:
             joints.append(number)
             zeros.append(model.index(f"{joint.name}.zero"))
-    each = columns[:, :, zeros] * way[rows][:, None, joints]
-    of_all = np.sum(each, axis=2, keepdims=True)
-    one = estimate_jointly(fitted, of_all)
-    if one.p_value(estimate.freedom) >= UNLIKELY:
+    # J c of each joint, (N, D, joints), and of all together, (N, D, 1).
+    of_joints = columns[:, :, zeros] * way[rows][:, None, joints]
+    of_all = np.sum(of_joints, axis=2, keepdims=True)
+    with_one_share = estimate_jointly(fitted, of_all)
+    if with_one_share.p_value(estimate.freedom) >= UNLIKELY:
         return
 
-    by_one = of_all @ one.b
-    by_each = each @ estimate_jointly(fitted, each).b
+    by_one_share = of_all @ with_one_share.b
+    by_own_shares = of_joints @ estimate_jointly(fitted, of_joints).b
     of_robot = fitted.kinematics.model.of_robot
-    by_arm = problem.prediction_jacobian(estimate.x)[:, :, of_robot] @ one.x[of_robot]
+    by_arm = problem.prediction_jacobian(estimate.x)[:, :, of_robot] @ with_one_share.x[of_robot]
     effect, difference, of_arm = (
-        rms((by / scales)[used]) for by in (by_one, by_each - by_one, by_arm)
+        rms((by / scales)[used]) for by in (by_one_share, by_own_shares - by_one_share, by_arm)
     )
     if difference >= _ALIKE * effect:
         return
 
     falls = gain_on_blocks(fitted, of_all, estimate.weights)
     if falls >= PREDICTS:
-        share = float(one.b[0])
+        share = float(with_one_share.b[0])
         over_arm = effect / max(of_arm, np.finfo(float).tiny)
         yield Reason.of(Why.JOINTS_LATE, of_step=share, over_arm=over_arm, falls=falls)

@@ -186,6 +186,7 @@ class Why(str, Enum):
     # Explanations of the errors of newly measured rows
     FRAME_MOVED = "frame_moved", Role.INFORMATION
     TARGET_MOVED = "target_moved", Role.INFORMATION
+    OTHER_SIDES = "other_sides", Role.INFORMATION
 
 
 @dataclass(frozen=True, slots=True)

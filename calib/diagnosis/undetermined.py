@@ -73,34 +73,35 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
     columns = rows.derivative(further.linearised(zero, rows.samples))
     linear = augment(fitted, columns[:, :, kept])
     count = int(np.sum(kept))
-    families = np.pad(prior.families, ((0, 0), (0, count)))
+    # Which parameters are of which family, (f, p).
+    inside = np.pad(prior.families, ((0, 0), (0, count)))
     outside = np.zeros((len(further_names), linear.x.size), dtype=bool)
     outside[:, linear.x.size - count :] = [further.model.family(n)[kept] for n in further_names]
-    families = np.vstack([families, outside])
+    families = np.vstack([inside, outside])
     own = np.pad(prior.precision, (0, count))
     mean = np.pad(prior.mean, (0, count))
 
-    # The sizes as the fit has them, then each family's sizes in turn.
-    typical = [FAMILIES[name].typical for name in (*prior.names, *further_names)]
-    absent = [_ABSENT * _SIZES[0] * FAMILIES[name].typical for name in further_names]
-    fit_sizes = np.array([*(estimate.prior_std[name] for name in prior.names), *absent])
-    sizes = [fit_sizes]
+    # The sizes as the fit has them, then those of each family in turn; those of the model's own are known if given.
+    typical = np.array([FAMILIES[name].typical for name in (*prior.names, *further_names)])
+    fit_sizes = _ABSENT * _SIZES[0] * typical
+    fit_sizes[: len(prior.names)] = [estimate.prior_std[name] for name in prior.names]
     first_varied = 0 if task.cell.priors.source == "data" else len(prior.names)
-    for k in range(first_varied, len(typical)):
-        for size in _SIZES * typical[k]:
-            other = fit_sizes.copy()
-            other[k] = size
-            sizes.append(other)
-    of_families = (1.0 / np.array(sizes) ** 2) @ families
-    priors = GaussianPriors(of_families + own, mean)
+    sizes = _grid_of_sizes(fit_sizes, typical, first_varied)
+    precision_by_family = (1.0 / sizes**2) @ families
+    priors = GaussianPriors(precision_by_family + own, mean)
+
+    # Parameters, covariance and likelihood at each of the k sizes: one problem, k priors.
     noise = np.tile(estimate.noise, (len(sizes), 1))
     equations = linear.normal_equations(
         estimate.problem.weights[None], estimate.problem.stop_shares
     )
     equations = equations.of_fits(np.zeros(len(sizes), dtype=int))
     x, covariance = equations.posterior(noise, priors)
-    flat = np.pad(prior.flat, (0, count))
-    likelihood = equations.log_likelihood(noise, priors, np.where(flat, 0.0, priors.precision))
+    is_flat = np.pad(
+        prior.flat, (0, count)
+    )  # frames and targets, whose weak priors are not counted
+    counted_precision = np.where(is_flat, 0.0, priors.precision)
+    likelihood = equations.log_likelihood(noise, priors, counted_precision)
 
     def squares(samples: Samples) -> Array:
         """Return the expected squares of predicted positions at each of the sizes, mean over samples [m^2]."""
@@ -114,6 +115,7 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
         of_covariance = np.einsum("pq,kpq->k", JJ, covariance)
         return np.asarray(of_covariance + np.einsum("kp,pq,kq->k", away, JJ, away))
 
+    # Beyond the measured poses, what the sizes of each family in turn, and that of the fit, add by likelihood.
     measured = rows.samples.select(rows.evenly(_MOST_MEASURED))
     added = squares(everywhere) - squares(measured)
     total = 0.0
@@ -123,3 +125,14 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
         mean_added = float(weights @ added[of_family] / np.sum(weights))
         total += max(mean_added - added[0], 0.0)
     return float(np.sqrt(total))
+
+
+def _grid_of_sizes(fit_sizes: Array, typical: Array, first_varied: int) -> Array:
+    """Return the sizes (f,) of the fit, then for each family from ``first_varied`` on a row with each of `_SIZES`."""
+    grid = [fit_sizes]
+    for k in range(first_varied, len(typical)):
+        for size in _SIZES * typical[k]:
+            varied = fit_sizes.copy()
+            varied[k] = size
+            grid.append(varied)
+    return np.array(grid)

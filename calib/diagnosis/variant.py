@@ -20,13 +20,14 @@ from calib.numerics.errors import interval_factor, rms
 from calib.robot.robot import Robot
 from calib.robot.ur_models import MODELS
 
-#: A larger error of a length is not an arm's, which is made to tenths of a millimetre [m].
+#: A length that is off by more than this is no error of an arm, whatever its other lengths are [m].
 _NO_ARM = 5e-3
 
-#: Nor is one so many times the rms of the arm's other errors in length, which have the same causes.
+#: Nor is one that is off by so many times the rms of the arm's other errors in length, which have the same causes.
 _UNLIKE_OTHERS = 20.0
 
-#: Variants do not differ by less than this, such as the error of a flange or of a washer [m].
+#: A length that is off by less than this, such as a washer's thickness, is no variant's, however right the others are
+#: [m].
 _NO_VARIANT = 1e-3
 
 #: Steps of the parameters with which lengths are derived, in standard deviations: far below what bends their effect.
@@ -62,9 +63,9 @@ def other_variant(
     if not np.any(excess > 0.0):
         return
     half_widths = intervals()
-    least = excess - half_widths
-    row, column = np.unravel_index(np.argmax(least), least.shape)
-    if least[row, column] > 0.0:
+    least_excess = excess - half_widths  # whatever the rows leave open
+    row, column = np.unravel_index(np.argmax(least_excess), least_excess.shape)
+    if least_excess[row, column] > 0.0:
         yield Reason.of(
             Why.OTHER_VARIANT,
             joint=nominal.joints[1 + int(row)].name,

@@ -215,6 +215,11 @@ class ErrorModel(Value):
         """The indices of the terms that change with the joints' state."""
         return tuple(t for t, term in enumerate(self.terms) if term.factor is not None)
 
+    @property
+    def depends_on_moves(self) -> bool:
+        """Whether an error depends on the last moves of the joints, as lost motion does."""
+        return any(term.factor is not None and term.factor.moved for term in self.terms)
+
     def values(self, x: Array) -> Array:
         """Return the value of every term in its unit, shape (terms,), at the parameters x, shape (p,)."""
         return np.asarray(self.mixing @ x)

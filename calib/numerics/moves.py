@@ -34,6 +34,20 @@ def last_moves(joints: ArrayLike) -> Array:
     return moves
 
 
+def is_from_one_side(moves: Array) -> bool:
+    """Return whether every joint that moved arrived at all rows from one side, each joint from its own.
+
+    Args:
+        moves: Last move of each joint before each row, shape (N, m), [rad] or [m]; 0: not known, which is a side of its
+            own.
+
+    Returns:
+        True if the signs are the same in all rows; False if no row, or no move, is known.
+    """
+    signs = np.sign(moves)
+    return bool(len(signs) and signs[0].any() and np.all(signs == signs[0]))
+
+
 def _moves_of_joint(values: list[float]) -> list[float]:
     """Return the last move before each value of one joint, in the order in which it took them."""
     rest = values[0] if values else 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from calib.diagnosis.reasons import NO, Reason, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.numerics.errors import Errors
+from calib.numerics.moves import is_from_one_side
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibration import Calibration
 from calib.result.doubts import find_doubts, negative_compliances, noise_doubts
@@ -56,7 +57,7 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
     geometry, fitted = result.geometry, result.fit.geometry
     residual = result.rows.residual_calibrated
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
-    every_note = (*notes, *_notes(result))
+    every_note = (*notes, *without_explained(_notes(result), doubts))
     evidence = replace(evidence, notes=every_note, non_geometric=usable)
     return replace(result, geometry=replace(geometry, verdict=judge(evidence)))
 
@@ -146,14 +147,16 @@ def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
 def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[float, float, float]:
     """Return expected errors over the joint limits, rms [m]: of a model, of the nominal robot, and the scale's part.
 
-    With the variance v of a predicted position there, mean over 200 joint values, v_0 at the measured poses and the
-    variance w that is added to this beyond them (`FittedModel.added_variance`), the model is off by e^2 = v_0 + w. It
-    is d away from the nominal robot, of which w - (v - v_0) is error of its own: the nominal robot is off by d^2 - (w -
-    (v - v_0)) + v, and by no less than the model, as far as rows and covariance say.
+    The squares, mean over 200 joint values, are
 
-    A scale error s of the instrument, with the mean m and the variance u, adds (m^2 + u) |J g|^2 to the model's e^2, by
-    the growth g of the parameters; the nominal robot's d is then that from the model less m g, and u |J g|^2 is added.
-    If all of the model's changes are scale, the nominal robot is right, and off by less than the model.
+        of the model:          v_0 + w + (m^2 + u) |J g|^2
+        of the nominal robot:  max(d^2 - (w - (v - v_0)) + v, v_0 + w) + u |J g|^2
+
+    with the variance v of a predicted position, v_0 at the measured poses, and the variance w that is added to this
+    beyond them (`FittedModel.added_variance`). Both robots are d apart, of which w - (v - v_0) is error of the model
+    that its covariance lacks. A scale error of the instrument, with the mean m and the variance u, changes the
+    parameters by the growth g each; d is then that from the model less m g. If all of the model's changes are scale,
+    the nominal robot is right, and off by less than the model.
 
     If the frame was estimated, or no row determines where the base stands, rigid motions of all positions do not count.
     """
@@ -238,6 +241,20 @@ def _lags(model: FittedModel) -> Iterator[Reason]:
             yield Reason.of(why, joint=largest.name.removesuffix(suffix), **values)
 
 
+def without_explained(notes: Iterable[Reason], doubts: Iterable[Reason]) -> tuple[Reason, ...]:
+    """Leave out joints that creep if joint values are late: both look alike along a path, and the doubt is tested.
+
+    Args:
+        notes: Reasons that only inform.
+        doubts: Findings besides errors.
+
+    Returns:
+        The other notes, in their order.
+    """
+    is_late = any(doubt.why is Why.JOINTS_LATE for doubt in doubts)
+    return tuple(note for note in notes if not (is_late and note.why is Why.CREEPS))
+
+
 def _notes(result: Calibration) -> Iterator[Reason]:
     """Yield reasons that only inform: a non-geometric model, its lost motion, rows left out or changed or far away.
 
@@ -255,8 +272,7 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield from _lags(larger)
 
     m = result.fit.measurements
-    signs = np.sign(m.moves_for(result.nominal.joint_names)[m.estimation])
-    if len(signs) and np.all(signs == signs[0]) and signs[0].any():
+    if is_from_one_side(m.moves_for(result.nominal.joint_names)[m.estimation]):
         yield Reason.of(Why.ONE_SIDED)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])

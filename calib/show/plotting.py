@@ -38,6 +38,9 @@ MOST_SHAPES = 250
 #: Rows are numbered in a figure if there are not more than this: more numbers would overlap.
 _MOST_NUMBERS = 12
 
+#: Rows are at one place in a figure, such as repeats of a pose, if they are closer than this share of all rows' spread.
+_SAME_PLACE = 0.01
+
 #: Fonts with letters that DejaVu Sans lacks; those that are installed are used.
 _FALLBACKS = ("Noto Sans", "Noto Sans CJK JP", "Arial Unicode MS", "Microsoft YaHei", "PingFang SC")
 
@@ -176,7 +179,7 @@ def few_ticks(count: int, *, integers: bool = False) -> MaxNLocator:
 
 
 def number_points(ax: Axes, rows: Sequence[int], places: Array, chosen: Mask) -> None:
-    """Write row numbers beside points, if not more than a dozen are chosen.
+    """Write row numbers beside points, if not more than a dozen are chosen; rows at one place have one text.
 
     Args:
         ax: The panel.
@@ -184,11 +187,19 @@ def number_points(ax: Axes, rows: Sequence[int], places: Array, chosen: Mask) ->
         places: shape (N, 2), the points in the panel's units; NaN where there is none.
         chosen: shape (N,), the points that are numbered.
     """
-    indices = np.flatnonzero(chosen & np.isfinite(places).all(axis=1)).tolist()
+    is_placed = np.isfinite(places).all(axis=1)
+    indices = np.flatnonzero(chosen & is_placed).tolist()
     if len(indices) > _MOST_NUMBERS:
         return
+    if not indices:
+        return
+    near = _SAME_PLACE * np.ptp(places[is_placed], axis=0)
+    numbers: dict[int, list[str]] = {}  # by the first row at a place
     for k in indices:
-        write_beside(ax, str(rows[k]), places[k])
+        firsts = (first for first in numbers if np.all(np.abs(places[k] - places[first]) <= near))
+        numbers.setdefault(next(firsts, k), []).append(str(rows[k]))
+    for first, texts in numbers.items():
+        write_beside(ax, ", ".join(texts), places[first])
 
 
 def write_beside(ax: Axes, text: str, at: Array) -> None:

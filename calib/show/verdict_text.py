@@ -34,8 +34,8 @@ _TURNED = (
     "{error_rad:deg.1f} deg if "
 )
 _REGISTERED_AGAIN = (
-    "The rms error is {given_m:mm.3g} mm with the frame and target of the result, but only "
-    "{error_m:mm.3g} mm if the "
+    "The rms error is {given_m:mm.2f} mm with the frame and target of the result, but only "
+    "{error_m:mm.2f} mm if the "
 )
 _NOT_NOISE = "The residuals are not noise: "
 _SHARE = "explains {explained} % of them (by chance {chance_explains} %; {chance_p})"
@@ -219,7 +219,7 @@ SENTENCES = {
     "the masses, the payload and the direction of gravity right?",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the non-geometric model '{model}' the error on held-out rows is {after} "
-    "(verdict: {use}). No URDF can represent it; calib compensate and predict() use it.",
+    "(verdict: {use}). No URDF can represent it{used_by}.",
     Why.LARGER_NO_CLOSER: "The non-geometric model '{model}' does not improve positions on held-out "
     "rows: {after}.",
     Why.STOPS_SHORT: "'{joint}' {stops} after each move{other_joints}: calib compensate and predict() correct this by "
@@ -268,6 +268,8 @@ SENTENCES = {
     "estimate.",
     Why.TARGET_MOVED: _REGISTERED_AGAIN
     + "target is registered again: was it remounted? Then give its position with --target.",
+    Why.OTHER_SIDES: "At the calibration all joints arrived at every pose from one side, here they did not: the errors "
+    "contain lost motion, if there is some.",
 }
 
 #: Second sentence on a cell, by what has the same effect.
@@ -402,6 +404,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "explained": _percent(values.get("share", 0.0)),
         "chance_explains": _percent(values.get("chance", 0.0)),
         "chance_p": "p < 1e-6" if p < _SMALLEST_P else f"p = {p:.1g}",
+        "used_by": "" if values.get("use") == NO else "; calib compensate and predict() use it",
         "lag_behind": "lag behind" if of_step > 0.0 else "are ahead of",
         "of_step_abs": f"{100.0 * abs(of_step):.1f}",
         "falls_by": f"falls by {_percent(falls)} %" if falls > 0.0 else "does not fall",

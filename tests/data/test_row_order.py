@@ -197,4 +197,4 @@ def test_moves_of_another_shape_are_refused(shape):
 
 def test_an_order_that_is_no_number_is_refused(tmp_path):
     path = write_lines(tmp_path, "order,a [deg],x [m],y [m],z [m]", "first,10,1,2,3")
-    refused(path, ("row 1", "order"))
+    refused(path, ("row 1", "order", "Write it as 123.45."))  # it has no unit

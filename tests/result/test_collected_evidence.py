@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.basics.channels import Channels
-from calib.diagnosis.reasons import Why
+from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stated_values import Scale
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import (
@@ -16,6 +16,7 @@ from calib.result.collected_evidence import (
     _expected_over_limits,
     _notes,
     compare_validation_errors,
+    without_explained,
 )
 from calib.robot.ranges import spread_poses
 from tests.parts import with_part
@@ -129,3 +130,10 @@ def test_it_is_said_if_all_joints_arrived_from_one_side(calibrated):
     rising[7, 2] = -0.1
     assert not says_so(rising)
     assert not says_so(None)
+
+
+def test_late_joint_values_are_not_said_to_be_creep_too():
+    creeps, short = Reason.of(Why.CREEPS, joint="a"), Reason.of(Why.STOPS_SHORT, joint="a")
+    late, step = Reason.of(Why.JOINTS_LATE, of_step=0.1), Reason.of(Why.TARGET_STEP)
+    assert without_explained([creeps, short], [step, late]) == (short,)
+    assert without_explained([creeps, short], [step]) == (creeps, short)

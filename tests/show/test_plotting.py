@@ -6,13 +6,21 @@ import importlib.util
 import io
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.lines import Line2D
 from PIL import Image
 
 from calib.errors import CalibError, FileError
 from calib.show.blocks import Drawing
-from calib.show.plotting import new_figure, picture_bytes, render, require_matplotlib, styled
+from calib.show.plotting import (
+    new_figure,
+    number_points,
+    picture_bytes,
+    render,
+    require_matplotlib,
+    styled,
+)
 
 
 def sketch():
@@ -80,3 +88,13 @@ def test_without_matplotlib_work_is_refused_with_its_remedy(monkeypatch):
         require_matplotlib("A report")
     with pytest.raises(CalibError, match="A figure needs matplotlib"):
         render(drawing())
+
+
+def test_rows_at_one_place_have_one_text():
+    """As repeats of a pose have."""
+    ax = new_figure(1.2, 3.0).subplots()
+    places = np.array([[0.0, 0.0], [100.0, 50.0], [0.3, 0.1], [np.nan, 0.0], [50.0, 0.0]])
+    number_points(ax, [7, 8, 9, 10, 11], places, np.array([True, True, True, True, False]))
+    assert [text.get_text() for text in ax.texts] == ["7, 9", "8"]
+    number_points(ax, [7, 8, 9, 10, 11], places, np.zeros(5, dtype=bool))
+    assert len(ax.texts) == 2

@@ -222,3 +222,9 @@ def test_many_lengths_that_are_off_may_be_other_joint_values(arm, others, asks):
     values = {"joint": "elbow", "length": "d", **moved, "arm": arm}
     text = reason_text(Reason.of(Why.OTHER_VARIANT, **values))
     assert ("same moment" in text, f"a {arm}:" in text) == (asks, bool(arm))
+
+
+@pytest.mark.parametrize("use", [USE, CARE, NO])
+def test_a_non_geometric_model_that_is_not_to_be_used_is_not_said_to_be_used(use):
+    text = reason_text(Reason.of(Why.LARGER_MODEL, model="dh+gain", after_m=1e-4, use=use))
+    assert ("compensate" in text) == (use != NO)

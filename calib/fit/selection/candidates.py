@@ -97,17 +97,17 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     patterns: dict[str, Array] = {}
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
-        moves = joint_displacements(robot, terms, samples.q, samples.load, samples.moves)
-        if not np.any(np.ptp(moves, axis=0) > _NO_MOTION):
+        displacements = joint_displacements(robot, terms, samples.q, samples.load, samples.moves)
+        if not np.any(np.ptp(displacements, axis=0) > _NO_MOTION):
             continue
-        pattern = moves.reshape(-1, len(terms))
+        pattern = displacements.reshape(-1, len(terms))
         if not any(_are_alike(pattern, earlier) for earlier in patterns.values()):
             patterns[family] = pattern
     return tuple(patterns)
 
 
 def _are_alike(A: Array, B: Array) -> bool:
-    """Return whether each column of a matrix is that of another matrix times a positive number, but for `_ALIKE`."""
+    """Return whether each column of a matrix points as that of another one, by a cosine of at least `_ALIKE`."""
     if A.shape != B.shape:
         return False
     products = np.sum(A * B, axis=0)
@@ -232,8 +232,8 @@ def alternative_models(candidates: Iterable[Candidate]) -> tuple[str, ...]:
     """List non-geometric models to try if refits reject the chosen one, the highest evidence first.
 
     Each has more evidence than the chosen geometry, and smaller errors on held-out rows of the linearised problem. Of
-    models that differ only by vanished families, one is taken. Families that depend on the order of the rows are taken
-    from the chosen model alone, for which that was shown to matter.
+    models that differ only by vanished families, one is taken. Of families that depend on the order of the rows, only
+    those of the chosen model may occur: for no others was the order shown to matter.
 
     Args:
         candidates: All that were fitted; the chosen ones are marked, see `mark_chosen`.

@@ -53,6 +53,7 @@ def order_matters(fitted: Fitted, families: tuple[str, ...]) -> bool:
         if parameter.family in families:
             estimated = fitted.estimate.prior_std.get(parameter.family)
             prior_std.append(estimated or family_of(parameter.family).prior)
+    # The residual is that without these errors, all of which is then to be gained.
     x = np.where(of_order, 0.0, fitted.estimate.x)
 
     def gain(moves: Array) -> float:
@@ -83,13 +84,13 @@ def _gain(system: Array, of_order: Mask, prior_std: Array) -> float:
 
     They are True in (p,), and have these prior standard deviations, times that of `_SCALES` which suits best.
     """
-    # Rows of their own priors do not belong to it: those have no other entry.
-    own = np.append(of_order, False)
-    others = np.append(~of_order, False)
-    rest = system[np.any(system[:, ~own] != 0.0, axis=1)]
-    R = triangle(np.column_stack([rest[:, others], rest[:, own], rest[:, -1]]))
-    # What is left of F and r off B are the last rows and columns of the triangle.
-    below = int(others.sum())
+    is_column = np.append(of_order, False)
+    # Rows without an entry elsewhere are the priors of these parameters, in whose place `_SCALES` are tried.
+    rows = system[np.any(system[:, ~is_column] != 0.0, axis=1)]
+    F, B, r = rows[:, is_column], rows[:, :-1][:, ~of_order], rows[:, -1:]
+    # The last rows and columns of the triangle are F and r, projected off B.
+    R = triangle(np.column_stack([B, F, r]))
+    below = B.shape[1]
     F, r = R[below:, below:-1], R[below:, -1]
     S, b = F.T @ F, F.T @ r
     best = 0.0

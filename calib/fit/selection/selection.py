@@ -111,8 +111,8 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
     non_geometric = best if "+" in best else ""
     of_order = moved_families(best)
     if of_order and not order_matters(chosen, of_order):
-        without = tuple(family for family in families if family_of(family).moved)
-        return select(task, rows, without)
+        of_moves = tuple(family for family in families if family_of(family).moved)
+        return select(task, rows, (*excluded, *of_moves))
     candidates = mark_chosen(search.tried.values(), geometry, non_geometric)
 
     if len(some_rows) < len(rows) or search_task is not task:

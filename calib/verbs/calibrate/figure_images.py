@@ -198,7 +198,7 @@ def _draw_bars(ax: Axes, seen: SeenCorners, *, named: bool) -> None:
         ax.set_xticks(numbers, names, rotation=90)
         return
     ax.xaxis.set_major_locator(few_ticks(8, integers=True))
-    ax.set_xlabel("image, in the order of the table")
+    ax.set_xlabel("image, in the order of the measurement")
     heights = np.fmax(values, held_out)
     worst = np.argsort(-np.nan_to_num(heights), kind="stable")[:_WORST]
     place: dict[str, Any] = {"xytext": (0.0, 3.0), "textcoords": "offset points", "rotation": 90}

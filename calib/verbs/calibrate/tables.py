@@ -204,7 +204,7 @@ def validation_rows(c: Calibration) -> Table:
 
     Residuals along the axes of the measurement frame, measured minus predicted, and their norm [mm]; of orientations
     the angle [deg], of images the norm [px]. Of more than `MOST_LISTED` rows the `MOST_WORST` with the largest errors
-    after calibration are listed, in the order of the table of measurements.
+    after calibration are listed, in the order of the measurement.
     """
     channels = c.rows.channels
     before_after = (

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, rigid_inverse
 from calib.data.forms.orientations import find_convention
+from calib.diagnosis.reasons import Why
 from calib.result.calibration import is_corrected
 from calib.show.lines import fill
 from calib.show.robot_sentences import coupling_sentence
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from calib.robot.robot import Robot
     from calib.verbs.compensate.commands import Code, Commands, CommandWarning
     from calib.verbs.compensate.expected import ExpectedErrors, Source
+    from calib.verbs.compensate.nominal_actual import Pair
 
 
 _MM = 1e3
@@ -112,6 +114,7 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
             f"{robot.urdf.source} has the corrected joint origins: the commands are for a controller with this model, "
             "and correct only what the non-geometric model adds. For a controller with the nominal model give its URDF."
         )
+    notes += _approach_notes(pair)
     if pair.target is not None:
         notes.append(
             f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "
@@ -133,6 +136,22 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
         usage,
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def _approach_notes(pair: Pair) -> list[str]:
+    """Say what the commands rest on if joints stop short: the order of the rows, or the side of the approach."""
+    if pair.actual.kinematics.model.depends_on_moves:
+        return [
+            "Where a joint stops depends on its last move, so the rows are corrected in their order: keep it. How the "
+            "joints come to the first row is not known; let it be the pose from which the program starts."
+        ]
+    verdict = None if pair.result is None else pair.result.verdict
+    if verdict is not None and any(reason.why is Why.ONE_SIDED for reason in verdict.reasons):
+        return [
+            "At the calibration all joints arrived at every pose from one side: let the program arrive from this side "
+            "too, else lost motion is not corrected."
+        ]
+    return []
 
 
 def no_commands(commands: Commands) -> str:

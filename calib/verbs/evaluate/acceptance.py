@@ -27,9 +27,10 @@ from calib.basics.values import ReadOnlyMapping, Value, keep_read_only, one_line
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import OutsideRow
-from calib.diagnosis.reasons import Reason
+from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
+from calib.numerics.moves import is_from_one_side
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.evaluate.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
@@ -252,8 +253,8 @@ class Assessment(Value):
     accepted: Acceptance | None
     #: Judged rows with joint values outside of the fitted ranges, and the numbers of all judged rows
     outside: tuple[tuple[OutsideRow, ...], tuple[int, ...]]
-    #: An explanation by which the rows would fit far better: a usual mistake, or a frame or target that has moved since
-    #: the calibration
+    #: What may explain the errors of the rows: a usual mistake, a frame or target that has moved since the calibration,
+    #: or joints that came from other sides
     hint: Reason | None
 
     def __post_init__(self) -> None:
@@ -305,8 +306,7 @@ def assess(
 
     Returns:
         Residuals and pose accuracy of each robot by its name, and the acceptance of the judged one if there are limits;
-        judged rows outside of the fitted joint ranges; and a usual mistake or a moved frame or target that explains
-        large errors.
+        judged rows outside of the fitted joint ranges; and what may explain the errors.
 
     Raises:
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
@@ -359,6 +359,8 @@ def assess(
     else:
         robot_now = evaluations["calibration"].robot
         hint = moved_place(robot_now, table, cell, calibration.setup, which)
+        if hint is None and _is_from_other_sides(table, calibration):
+            hint = Reason.of(Why.OTHER_SIDES)
     return Assessment(
         evaluations=evaluations,
         accuracies=accuracies,
@@ -371,6 +373,14 @@ def assess(
         outside=(outside, numbers),
         hint=hint,
     )
+
+
+def _is_from_other_sides(table: Measurements, calibration: Calibration) -> bool:
+    """Return whether joints came from both sides to the rows of a table, and at the calibration from one."""
+    verdict = calibration.verdict
+    if verdict is None or all(reason.why is not Why.ONE_SIDED for reason in verdict.reasons):
+        return False
+    return not is_from_one_side(table.moves_for(calibration.nominal.joint_names))
 
 
 def _refuse_commands(robot: Robot, table: Measurements, calibration: Calibration | None) -> None:

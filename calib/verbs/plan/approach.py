@@ -1,7 +1,7 @@
 """Approach of the poses of a plan: from which side each joint comes, on which lost motion depends.
 
-A joint with lost motion lags by the sign of its last move. Straight from pose to pose the signs are as good as random,
-and a fit finds lost motion beside the geometry. If the robot first goes to
+A joint with lost motion stops short by an angle that depends on the sign of its last move only. Straight from pose to
+pose the signs are as good as random, and a fit finds lost motion beside the geometry. If the robot first goes to
 
     q_via = q - move
 
@@ -48,7 +48,7 @@ def approaches(robot: Robot, ranges: Array, approach: str) -> Array:
 
 
 def with_room(ranges: Array, moves: Array) -> Array:
-    """Return ranges of joints (m, 2) of which every value can be approached by moves (s, m) within the given ones."""
+    """Return the part of some ranges (m, 2) whose every value can be approached by moves (s, m) within them."""
     rise, fall = moves.max(axis=0, initial=0.0), moves.min(axis=0, initial=0.0)
     return np.column_stack([ranges[:, 0] + rise, ranges[:, 1] + fall])
 
@@ -69,5 +69,5 @@ def visits(q: Array, moves: Array) -> tuple[Array, Array]:
 
 
 def side_name(move: Array) -> str:
-    """Return the word for the side from which a pose is approached, by the joints' last moves (m,)."""
+    """Return the word for the side from which all joints approach a pose, by their last moves (m,)."""
     return "rising" if move[0] > 0.0 else "falling"

@@ -135,6 +135,7 @@ def choose_poses(
     request: PlanRequest,
     taken: Array | None = None,
     *,
+    taken_moves: Array | None = None,
     sides: Array | None = None,
     progress: Progress | None = None,
 ) -> Choice:
@@ -146,6 +147,8 @@ def choose_poses(
         request: Numbers of poses, criterion and seed.
         taken: Poses that are measured already, shape (T, m), [rad] or [m]: they count in the information, and are not
             planned again; None: none are.
+        taken_moves: Last move of each joint before each of these, shape (T, m), [rad] or [m]; None: from the pose
+            before.
         sides: Moves by which the joints arrive at each pose, shape (s, m), see `calib.verbs.plan.approach.approaches`;
             None: straight from the pose before.
         progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.
@@ -158,6 +161,8 @@ def choose_poses(
     """
     if taken is None:
         taken = pool.q[:0]
+    if taken_moves is None:
+        taken_moves = last_moves(taken)
     if sides is None:
         sides = pool.q[:0]
     # The candidates that differ from all poses measured already in some joint.
@@ -168,12 +173,12 @@ def choose_poses(
     q = pool.q[~repeated]
     request.check(len(q))
 
-    # What is measured of a pose from all sides.
+    # What all visits of a pose measure, (n, s d, p).
     measured = sensitivity.measured(*visits(q, sides)).reshape(len(q), -1, len(sensitivity.names))
     workspace = Workspace.of(sensitivity, pool.workspace, pool.measurable)
     known = np.diag(sensitivity.precision)
     if len(taken):
-        known += information(sensitivity.measured(taken))
+        known += information(sensitivity.measured(taken, taken_moves))
     weight = _weight(request.criterion, sensitivity, workspace)
     basis = Basis.of(information(measured) / len(measured), known, weight)
     blocks = measured @ basis.directions
@@ -193,7 +198,7 @@ def choose_poses(
         """Forecast a fit of the poses taken and of some candidates."""
         joints, moves = visits(q[indices], sides)
         joints = np.concatenate([taken, joints])
-        moves = np.concatenate([last_moves(taken), moves])
+        moves = np.concatenate([taken_moves, moves])
         return Forecast.of(sensitivity, workspace, joints, moves)
 
     restarts = 1 if request.count > _MANY else RESTARTS

@@ -275,10 +275,12 @@ def plan(
         target = next(iter(cell.targets.values()), cell.target)
         region = read_region(scene.region, arm, target)
     taken: Array | None = None
+    taken_moves: Array | None = None
     first_row = 1
     if poses.taken is not None:
         measured = read_poses(poses.taken, arm, taken=True)
-        taken, first_row = measured.joints, next_number(instrument, measured)
+        taken, taken_moves = measured.joints, measured.moves
+        first_row = next_number(instrument, measured)
     with stages_bar(quiet=quiet) as progress:
         planned = plan_poses(
             arm,
@@ -286,6 +288,7 @@ def plan(
             request,
             region=region,
             taken=taken,
+            taken_moves=taken_moves,
             collisions=scene.check(),
             progress=progress,
         )
@@ -298,7 +301,7 @@ def plan(
 
         plan_page(planned, first_row=first_row).write(view, overwrite=force)
     if not quiet:
-        typer.echo("\n".join([plan_text(planned), "", *written_lines(*files)]))
+        typer.echo("\n".join([plan_text(planned, first_row), "", *written_lines(*files)]))
 
 
 def pose_of(text: str, option: str) -> Array:

@@ -19,7 +19,7 @@ from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
-from calib.errors import CalibError
+from calib.errors import CalibError, ModelError
 from calib.instruments.instrument import Condition, Instrument, Sightline
 from calib.numerics.moves import last_moves
 from calib.robot.robot import Robot
@@ -75,11 +75,13 @@ class Plan(Value):
     sets: tuple[str, ...]
     #: Shape (T, m), poses that were measured already.
     taken: Array
+    #: Shape (T, m), last move of each joint before each of these, [rad] or [m].
+    taken_moves: Array
     #: The targets measured at every pose.
     targets: tuple[str, ...]
     #: Shape (targets, 4, 4), their poses in the tip [m].
     T_tip_target: Array
-    #: shape (K, targets, 3), each target (of a board its centre) as the nominal robot predicts it, in the measurement
+    #: Shape (K, targets, 3), each target (of a board its centre) as the nominal robot predicts it, in the measurement
     #: frame if that is known, else in the base [m].
     expected: Array
     #: The parameter set planned for.
@@ -158,7 +160,7 @@ class Plan(Value):
         """Joint values of all poses to fit, taken and planned, and the last move of each joint before each of them."""
         chosen = np.array(self.sets) == "estimate"
         joints = np.concatenate([self.taken, self.joints[chosen]])
-        return joints, np.concatenate([last_moves(self.taken), self.moves[chosen]])
+        return joints, np.concatenate([self.taken_moves, self.moves[chosen]])
 
     @property
     def estimation(self) -> Array:
@@ -176,6 +178,7 @@ def plan(
     *,
     region: Region | None = None,
     taken: ArrayLike | None = None,
+    taken_moves: ArrayLike | None = None,
     collisions: CollisionCheck | None = _USUAL_CHECK,
     progress: Progress | None = None,
 ) -> Plan:
@@ -194,6 +197,8 @@ def plan(
         region: Voxels of the robot's base frame in which the first target is to lie; None: anywhere.
         taken: Joint values of poses that are measured already, shape (T, m) or (m,), [rad] or for sliding joints [m],
             columns as ``robot.joint_names``: the plan adds to them; None: none.
+        taken_moves: Last move of each joint before each of these, of the same shape, [rad] or [m]; None: from the pose
+            before.
         collisions: How poses and moves are checked for collisions of the robot and what it holds with the robot itself,
             the cell's boxes and the mounting plane, and lines of sight; None: they are not checked.
         progress: Called with the stage of the work, ``"candidates"`` or ``"choice"``, how much of it is done, and all
@@ -219,7 +224,14 @@ def plan(
     assert request.candidates is not None
     request.check(request.candidates)
     no_poses = np.zeros((0, len(arm.inputs)))
-    measured = no_poses if taken is None else instrument.stops(arm.columns(taken, "taken"))
+    measured = no_poses if taken is None else arm.columns(taken, "taken")
+    measured_moves = last_moves(measured)
+    if taken_moves is not None:
+        measured_moves = arm.columns(taken_moves, "taken_moves")
+        if measured_moves.shape != measured.shape:
+            raise ModelError("The argument 'taken_moves' must have one row for each of 'taken'.")
+    visited = instrument.stops(np.hstack([measured, measured_moves]))
+    measured, measured_moves = map(read_only, np.hsplit(visited, 2))
 
     sensitivity = Sensitivity.of(arm, known, instrument)
     body = None
@@ -234,9 +246,14 @@ def plan(
         pool = draw_towards(instrument, sensitivity.sightlines[0], *draws)
     else:
         pool = draw(arm, *draws)
-    measured = read_only(measured)
     choice = choose_poses(
-        sensitivity, pool, request, measured, sides=sides, progress=_stage(progress, "choice")
+        sensitivity,
+        pool,
+        request,
+        measured,
+        taken_moves=measured_moves,
+        sides=sides,
+        progress=_stage(progress, "choice"),
     )
 
     poses = np.concatenate([choice.planned, choice.validation])
@@ -254,11 +271,11 @@ def plan(
     route = find_route(arm, poses, limits, start, path_free, stops, sides)
     is_fitted = route.order < len(choice.planned)
     fitted = np.concatenate([measured, route.joints[is_fitted]])
-    fitted_moves = np.concatenate([last_moves(measured), route.moves[is_fitted]])
-    expected = choice.forecast
-    if sensitivity.depends_on_moves:  # now that the order is known
-        expected = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
-    notes = _scale_notes(sensitivity, pool, fitted, expected.rms)
+    fitted_moves = np.concatenate([measured_moves, route.moves[is_fitted]])
+    forecast = choice.forecast
+    if sensitivity.kinematics.model.depends_on_moves:  # now that the order is known
+        forecast = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
+    notes = _scale_notes(sensitivity, pool, fitted, forecast.rms)
     notes += sensitivity.notes
     if known.reflector is not None and known.tracker is None:
         notes.append(Note("reflector_not_checked"))
@@ -272,12 +289,13 @@ def plan(
         moves=route.moves,
         sets=tuple(np.where(is_fitted, "estimate", "validate").tolist()),
         taken=measured,
+        taken_moves=measured_moves,
         targets=sensitivity.setup.targets,
         T_tip_target=sensitivity.setup.T_tip_target,
         expected=read_only(sensitivity.expected(route.joints)),
         model=sensitivity.kinematics.model.name,
         kind=instrument.kind.name,
-        forecast=expected,
+        forecast=forecast,
         before=choice.before,
         at_random=choice.at_random,
         ladder=choice.ladder,
@@ -325,9 +343,9 @@ def _conditions(
 
 
 def _approach_free(body: CollisionModel, sides: Array, q: Array) -> Mask:
-    """Return at which poses (n, m) the ways by which they are approached, from all sides (s, m), are free.
+    """Test at which poses (n, m) the last moves, from all sides (s, m), are free; shape (n,).
 
-    They are tested at steps of a third.
+    A move of a few degrees is tested where it begins and at each third; its end is the pose itself.
     """
     ways = [q - share * side for side in sides for share in (1.0, 2 / 3, 1 / 3)]
     return np.asarray(np.all([body.free(way) for way in ways], axis=0))

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import singledispatch
+from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ import numpy as np
 from calib.basics.arrays import Array, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
-from calib.basics.tables import Table
+from calib.basics.tables import Column, Table
 from calib.basics.units import Quantity
 from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, VIA, name_columns
 from calib.data.forms.column_options import ColumnsInput
@@ -32,6 +33,7 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError
 from calib.instruments.camera import CameraInstrument, board_tilts
 from calib.instruments.instrument import Instrument
+from calib.numerics.moves import SAME_POSE, last_moves
 from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
 from calib.verbs.plan.approach import side_name
@@ -203,7 +205,7 @@ class Poses(NamedTuple):
     last_row: int
     #: Largest number in the name of an image; 0 without images.
     last_image: int
-    #: Shape (N, m), last move of each joint before each pose [rad] or [m]; None: from the pose before.
+    #: Shape (N, m), last move of each joint before each pose [rad] or [m]; None: from the pose before in ``joints``.
     moves: Array | None
 
 
@@ -219,7 +221,8 @@ def read_poses(
         robot: The robot, whose m measured joints have a column each in the table.
         columns: Names and units of the columns, as by ``--columns``; None: as they are.
         taken: Whether only poses that a fit would estimate from are read, measured and of the set ``estimate``; of a
-            table in which nothing is measured, such as a plan that is still to be driven, all poses of that set.
+            table in which nothing is measured, such as a plan that is still to be driven or one with a list of points,
+            all poses of that set, in rows with a name in the column ``point`` if there is one.
 
     Returns:
         The poses in the order in which the table says they are measured, columns as ``robot.joint_names``.
@@ -232,20 +235,12 @@ def read_poses(
     layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
     rows = Measurements(**read_values(table, layout, as_measured=True))
     named, _ = name_columns(table, robot.joint_names, {})
+    numbers = [*range(1, len(table.cells) + 1)]
+    if "row" in named:
+        numbers = [int(number or 0) for number in table.column(named["row"])]
     chosen = np.ones(len(rows), dtype=np.bool_)
     if taken:
-        # A row measures something by a cell, or by a kind that needs none.
-        columns_of_values = [*POINT, "distance", "pair", "u"]
-        indices = [named[name].index for name in columns_of_values if name in named]
-        kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
-        numbers = [*range(1, len(kinds) + 1)]
-        if "row" in named:
-            numbers = [int(number or 0) for number in table.column(named["row"])]
-        with_value = {
-            number
-            for number, kind, cells in zip(numbers, kinds, table.cells, strict=True)
-            if kind in _WITHOUT_CELLS or any(cells[i] for i in indices)
-        }
+        with_value = set(compress(numbers, _measure_something(table, named)))
         measured = np.array([number in with_value for number in rows.rows], dtype=np.bool_)
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
@@ -261,14 +256,32 @@ def read_poses(
     first = [*first_rows.values()]
     names = table.column(named["image"]) if "image" in named else []
     of_images = [_NUMBER.findall(Path(name).stem) for name in names]
-    is_through = len(rows) < len(table.cells)
+    joints, moves = rows.joints[first], rows.moves_for(robot.joint_names)[first]
+    is_as_before = np.allclose(moves, last_moves(joints), rtol=0.0, atol=SAME_POSE)
     return Poses(
-        joints=read_only(rows.joints[first]),
+        joints=read_only(joints),
         sets=tuple(rows.sets[i] for i in first),
-        last_row=max(rows.rows),
+        last_row=max(numbers),
         last_image=max((int(digits[-1]) for digits in of_images if digits), default=0),
-        moves=read_only(rows.moves_for(robot.joint_names)[first]) if is_through else None,
+        moves=None if is_as_before else read_only(moves),
     )
+
+
+def _measure_something(table: Table, named: Mapping[str, Column]) -> list[bool]:
+    """Mark the rows that measure something: by a cell, by a kind that needs none, or as a named point of a list.
+
+    Names count only if no cell holds a measurement: a plan that is being filled in names all of its points.
+    """
+    columns = [*POINT, "distance", "pair", "u"]
+    indices = [named[name].index for name in columns if name in named]
+    kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
+    measure = [
+        kind in _WITHOUT_CELLS or any(cells[i] for i in indices)
+        for kind, cells in zip(kinds, table.cells, strict=True)
+    ]
+    if not any(measure) and "point" in named:
+        measure = [name != "" for name in table.column(named["point"])]
+    return measure
 
 
 @singledispatch

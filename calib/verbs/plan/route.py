@@ -121,7 +121,8 @@ def _approached(
 ) -> Route:
     """Return a route whose poses are visited once from each side, by moves (s, m) that end there.
 
-    The moves from the pose before, or the start (m,), to where the last move begins are tested.
+    The way to a visit leads from the visit before, or the start (m,), to its entry, where the last move begins. Ways to
+    a pose's first visit are tested; those between its visits are as short as the moves.
     """
     joints, moves = visits(route.joints, sides)
     path = np.stack([joints - moves, joints], axis=1).reshape(-1, joints.shape[1])
@@ -129,12 +130,11 @@ def _approached(
         path = np.vstack([start, path])
     blocked = []
     if free_path is not None:
-        befores = [start, *joints[len(sides) - 1 :: len(sides)]]
-        entries = (joints - moves)[:: len(sides)]
-        for k, (before, entry) in enumerate(zip(befores, entries, strict=False)):
-            if before is not None and not free_path(before, entry):
-                number = k * len(sides)
-                blocked.append(Blocked(number, number + 1, None))
+        entries = joints - moves
+        for first in range(0, len(joints), len(sides)):
+            before = joints[first - 1] if first else start
+            if before is not None and not free_path(before, entries[first]):
+                blocked.append(Blocked(first, first + 1, None))
     travel = float(np.abs(np.diff(path, axis=0)).max(axis=1).sum())
     order = np.repeat(route.order, len(sides))
     return Route(read_only(joints), read_only(moves), order, travel, tuple(blocked))
@@ -156,7 +156,7 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
     path = _shortest_path(costs)
     penalised = costs.copy()
     penalty = float(costs.max()) * len(costs) + 1.0  # a blocked move is worse than any detour
-    is_free: dict[tuple[int, int], bool] = {}
+    is_free: dict[tuple[int, int], bool] = {}  # of the moves that were tested, there and back
     is_settled = False
     while free_path is not None and not is_settled:
         is_settled = True
@@ -171,8 +171,9 @@ def order_poses(q: Array, start: Array | None = None, free_path: FreePath | None
     blocked = [Blocked(k, k + 1, None) for k, move in driven if not is_free.get(move, True)]
     order = path[1:-1]
     joints = read_only(q[order])
-    moves = last_moves(poses[path[1:-1]] if start is None else poses[path[:-1]])
-    moves = moves[len(moves) - count :]
+    # The first pose has a move if the robot's start is known.
+    visited = joints if start is None else np.vstack([start, joints])
+    moves = last_moves(visited)[len(visited) - count :]
     return Route(joints, read_only(moves), order, _length(path, costs), tuple(blocked))
 
 

@@ -130,12 +130,6 @@ class Sensitivity:
         return self.kinematics.model.units
 
     @property
-    def depends_on_moves(self) -> bool:
-        """Whether an error of the model depends on the last moves of the joints."""
-        factors = [parameter.factor for parameter in self.kinematics.model.parameters]
-        return any(factor is not None and factor.moved for factor in factors)
-
-    @property
     def sightlines(self) -> tuple[Sightline, ...]:
         """The instrument and each target, with the chain between them; () if the instrument's place is not known."""
         T_instrument_base = self.instrument.T_instrument_base

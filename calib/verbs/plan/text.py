@@ -20,7 +20,7 @@ from calib.show.robot_sentences import coupling_sentence
 from calib.show.tables import Column, labelled, name_column, table_lines
 from calib.show.words import chain_name
 from calib.verbs.plan.plan import Plan
-from calib.verbs.plan.plan_file import distances_and_tilts
+from calib.verbs.plan.plan_file import distances_and_tilts, image_name
 
 if TYPE_CHECKING:
     from calib.verbs.plan.forecast import Forecast
@@ -80,17 +80,26 @@ _NOTES: dict[Code, str] = {
 _PLAN_LABEL = 15
 
 
-def plan_text(plan: Plan) -> str:
-    """Write a plan in paragraphs: its head, the forecasts, and notes, the last ones on moves that are blocked."""
+def plan_text(plan: Plan, first_row: int = 1) -> str:
+    """Write a plan in paragraphs: its head, the forecasts, and notes, the last ones on moves that are blocked.
+
+    Args:
+        plan: The plan.
+        first_row: Number of the first row or image of its table, see `calib.verbs.plan.plan_file.write_plan`.
+    """
     notes = [note_text(note) for note in plan.notes]
-    # Moves by their rows, each with a pose to move through if one was found.
+    # Moves by the rows of the table, or by images, each with a pose to move through if one was found.
     # Each pose has a row for each target, after that of the pose to come from.
     before = 0 if plan.via is None else 1
     rows = before + len(plan.targets)
     moves = []
     for blocked in plan.blocked:
-        start = f"row {rows * (blocked.start - 1) + before + 1}" if blocked.start else "the start"
-        move = f"{start} to row {rows * (blocked.end - 1) + 1}"
+        start = f"row {first_row + rows * (blocked.start - 1) + before}"
+        end = f"row {first_row + rows * (blocked.end - 1)}"
+        if isinstance(plan.instrument, CameraInstrument):
+            start = image_name(first_row + blocked.start - 1)
+            end = image_name(first_row + blocked.end - 1)
+        move = f"{start if blocked.start else 'the start'} to {end}"
         if blocked.by is not None:
             values = []
             for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):

@@ -9,6 +9,10 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Reason, Verdict, Why
+from calib.result.calibrate import calibrate
+from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.commands import Code, Commands, CommandWarning
 from calib.verbs.compensate.compensate import compensate
@@ -75,6 +79,23 @@ def test_what_a_controller_with_the_corrected_robot_gets_is_said():
     of_corrected = said(compensate(result, program, nominal=result.robot))
     assert "correct only what the non-geometric model adds" in of_corrected
     assert "correct only what" not in said(compensate(result, program))
+
+
+def test_what_commands_rest_on_if_joints_stop_short_is_said(ur3: Robot, found: Commands):
+    """The order of the rows with lost motion; the side, if all poses of the calibration were approached from one."""
+    q = random_joint_values(ur3, 40, 3)
+    points = (ur3.poses(q) @ [0.05, 0.02, 0.1, 1.0])[:, :3]
+    points += 2e-5 * np.random.default_rng(3).normal(size=points.shape)
+    m = Measurements(ur3.joint_names, q, points)
+    of_order = calibrate(ur3, m, model="zeros+lost_motion", validate=False)
+    program = Program.of_joints(q[:3])
+    assert "in their order: keep it" in said(compensate(of_order, program, tool=""))
+    result = made("paper")
+    verdict = Verdict("use", (Reason.of(Why.ONE_SIDED),))
+    one_sided = replace(result, geometry=replace(result.geometry, verdict=verdict))
+    assert "from this side too" in said(compensate(one_sided, found.program))
+    assert "from this side" not in said(found)
+    assert "in their order" not in said(found)
 
 
 def test_the_expected_error_stands_once_and_its_sources_below(found: Commands):

@@ -9,6 +9,7 @@ import pytest
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Reason, Why
 from calib.errors import ModelError
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
@@ -121,6 +122,21 @@ def test_rows_that_found_a_set_up_do_not_judge_it_free_of_charge(calibrated):
     assert found.errors["validation"]["m"].rms < 2 * c.errors["calibrated"]["estimation"]["m"].rms
     assert (one.registered, one.rows) == (("target", "frame"), "validation")
     assert one.factor > 1.0
+
+
+def test_rows_that_joints_reached_from_other_sides_are_hinted_at(calibrated):
+    """Only if they all came from one side at the calibration."""
+    _, c = calibrated("points")
+    assert c.verdict is not None
+    one_sided = replace(c.verdict, reasons=(*c.verdict.reasons, Reason.of(Why.ONE_SIDED)))
+    from_one = replace(c, geometry=replace(c.geometry, verdict=one_sided))
+    table = c.fit.measurements
+    rising = replace(table, moves=np.full(table.joints.shape, 0.1))
+    hint = assess(c.nominal, table, Cell(), from_one).hint
+    assert hint is not None
+    assert hint.why is Why.OTHER_SIDES
+    assert assess(c.nominal, rising, Cell(), from_one).hint is None
+    assert assess(c.nominal, table, Cell(), c).hint is None
 
 
 def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):

@@ -242,6 +242,22 @@ def test_a_forecast_knows_the_order_to_drive(ur3):
     assert not np.allclose(root, as_if_in_the_tables_order, rtol=1e-3)
 
 
+def test_poses_taken_count_with_the_moves_by_which_they_were_reached(ur3):
+    """Poses that were all approached from one side do not determine lost motion."""
+    cell = replace(BARE, model="hayati+lost_motion", priors=Priors("given"))
+    request = PlanRequest(15, 0, candidates=300, ladder=False, approach="one")
+    one = plan(ur3, cell, request, collisions=None)
+    few = PlanRequest(2, 0, candidates=300, ladder=False)
+    taken = one.estimation
+    more = plan(ur3, cell, few, taken=taken, taken_moves=one.moves, collisions=None)
+    np.testing.assert_array_equal(more.taken_moves, one.moves)
+    np.testing.assert_allclose(more.before.rms, one.forecast.rms, rtol=0.02)
+    as_driven = plan(ur3, cell, few, taken=taken, collisions=None)
+    assert as_driven.before.rms < 0.7 * more.before.rms
+    with pytest.raises(ModelError, match=r"'taken_moves' must have one row for each of 'taken'"):
+        plan(ur3, cell, few, taken=taken, taken_moves=one.moves[1:], collisions=None)
+
+
 def test_an_unknown_approach_is_refused(ur3):
     with pytest.raises(ModelError, match=r"approach 'above'.*straight, one"):
         plan(ur3, BARE, PlanRequest(15, 4, candidates=300, approach="above"), collisions=None)

@@ -140,7 +140,27 @@ def test_poses_that_are_driven_through_are_not_taken(from_both_sides, planned, u
     assert (poses.sets, poses.last_row) == (from_both_sides.sets, 72)
     taken = read_poses(path, ur3, taken=True)
     np.testing.assert_allclose(taken.joints, from_both_sides.estimation, rtol=1e-15)
+    np.testing.assert_allclose(
+        taken.moves, from_both_sides.moves[np.array(taken_sets(from_both_sides))], atol=1e-12
+    )
     assert read_poses(write_plan(planned, tmp_path / "straight.csv"), ur3).moves is None
+
+
+def taken_sets(plan):
+    """Whether each pose of a plan is one to fit."""
+    return [name == "estimate" for name in plan.sets]
+
+
+def test_moves_that_a_table_states_are_read(table, arm):
+    stated = read_poses(table("j1 [deg],j1.move [deg]", "1,5", "2,-5", "3,5"), arm)
+    np.testing.assert_allclose(np.degrees(stated.moves[:, 0]), [5.0, -5.0, 5.0], rtol=1e-12)
+    as_driven = read_poses(table("j1 [deg],j1.move [deg]", "1,0", "2,1", "3,1"), arm)
+    assert as_driven.moves is None
+
+
+def test_rows_are_numbered_after_the_last_one_of_the_table_measured_or_not(table, arm):
+    through = table("row,set,j1 [deg],x [mm],y [mm],z [mm]", "4,estimate,1,1,2,3", "5,via,2,,,")
+    assert read_poses(through, arm, taken=True).last_row == 5
 
 
 # Poses that were taken
@@ -193,6 +213,8 @@ def test_tables_of_every_kind_count(table, arm):
     )  # fmt: skip
     taken = read_poses(mixed, arm, taken=True)
     assert degrees(taken) == [1.0, 2.0, 4.0]
+    listed = table("point,j1 [deg]", "P1,1", ",2", "P3,3")  # the list has the points
+    assert degrees(read_poses(listed, arm, taken=True)) == [1.0, 3.0]
 
 
 # The forecast

@@ -38,6 +38,9 @@ def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
         f"{degrees}), row 1 to row 2."
     ) in said(many)
     assert "collides" not in said(planned)
+    # Rows of a table that adds to another one have its numbers.
+    added = " ".join(plan_text(many, first_row=36).split())
+    assert "collides from the start to row 36, row 36 to row 40 (via" in added
 
 
 def test_parameters_of_which_none_is_known_by_itself(planned: Plan):
