@@ -285,6 +285,12 @@ class Cell(Value):
         "motion_capture 0.05 %, print 0.3 %.",
         default=None,
         absent="unknown: 1 %; with a table `tracker` a tracker; boards state their own",
+        option=Option(
+            "--instrument",
+            group="fit",
+            type=tuple(SCALE_SIGMAS),
+            help="What measures; it says how well the scale is known. Default: unknown, to 1 %.",
+        ),
         check=Check(
             f"one of {choices(SCALE_SIGMAS)}",
             lambda value: value if value in SCALE_SIGMAS else None,

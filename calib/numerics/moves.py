@@ -34,18 +34,19 @@ def last_moves(joints: ArrayLike) -> Array:
     return moves
 
 
-def is_from_one_side(moves: Array) -> bool:
-    """Return whether every joint that moved arrived at all rows from one side, each joint from its own.
+def common_side(moves: Array) -> Array | None:
+    """Return the side from which each joint arrived, if it was the same at all rows.
 
     Args:
         moves: Last move of each joint before each row, shape (N, m), [rad] or [m]; 0: not known, which is a side of its
             own.
 
     Returns:
-        True if the signs are the same in all rows; False if no row, or no move, is known.
+        The signs of the moves, shape (m,); None if they differ between rows, or no row, or no move, is known.
     """
     signs = np.sign(moves)
-    return bool(len(signs) and signs[0].any() and np.all(signs == signs[0]))
+    is_same = len(signs) and signs[0].any() and np.all(signs == signs[0])
+    return np.asarray(signs[0]) if is_same else None
 
 
 def _moves_of_joint(values: list[float]) -> list[float]:

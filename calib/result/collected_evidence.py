@@ -16,7 +16,7 @@ from calib.diagnosis.reasons import NO, Reason, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.numerics.errors import Errors
-from calib.numerics.moves import is_from_one_side
+from calib.numerics.moves import common_side
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibration import Calibration
 from calib.result.doubts import find_doubts, negative_compliances, noise_doubts
@@ -272,8 +272,12 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield from _lags(larger)
 
     m = result.fit.measurements
-    if is_from_one_side(m.moves_for(result.nominal.joint_names)[m.estimation]):
-        yield Reason.of(Why.ONE_SIDED)
+    names = result.nominal.joint_names
+    side = common_side(m.moves_for(names)[m.estimation])
+    if side is not None:
+        falling = [name for name, sign in zip(names, side, strict=True) if sign < 0.0]
+        rising = [name for name, sign in zip(names, side, strict=True) if sign > 0.0]
+        yield Reason.of(Why.ONE_SIDED, rising=rising, falling=falling)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
     if m.turned:

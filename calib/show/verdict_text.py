@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
+from calib.errors import choices
 from calib.show.lines import listed, mm, plural
 from calib.show.words import absurd_size, joint_unit, sizes_of
 
@@ -226,11 +227,11 @@ SENTENCES = {
     "the order of the rows. To avoid it, approach poses from one side.",
     Why.CREEPS: "'{joint}' {lacks} of its last move when it was measured{other_joints}: calib compensate and predict() "
     "correct this by the order of the rows. To avoid it, wait longer at each pose.",
-    Why.ONE_SIDED: "All joints arrived at every pose from one side. Lost motion, if there is some, is in their zeros: "
-    "the robot is as accurate as stated where programs approach poses from this side too.",
+    Why.ONE_SIDED: "All joints arrived at every pose from one side, {side}. Lost motion, if there is some, is in their "
+    "zeros: the robot is as accurate as stated where programs approach poses from this side too.",
     Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
     "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
-    'scale is known better, say so in the cell file: instrument = "tracker", sigma_scale_percent, or, once a known '
+    "scale is known better, say so: --instrument tracker, or in the cell file sigma_scale_percent or, once a known "
     "length was checked, scale_certified = true.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
@@ -390,7 +391,13 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         )
         warmed = "Did something warm up, or move?"
     of_step = values.get("of_step", 0.0)
+    side = "falling"
+    if values.get("rising"):
+        side = "rising"
+        if values["falling"]:
+            side += f", and falling in {choices(values['falling'])}"
     words = {
+        "side": side,
         "before": f"{listed(before)} rms",
         "after": f"{listed(after)} rms",
         "change": f"from {start} to {listed(after)} rms",

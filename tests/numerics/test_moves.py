@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.numerics.moves import SAME_POSE, is_from_one_side, last_moves
+from calib.numerics.moves import SAME_POSE, common_side, last_moves
 
 #: One joint that goes up, stays, stays nearly, goes down, and up again.
 VALUES = np.array([0.1, 0.4, 0.4, 0.4 + 0.9 * SAME_POSE, -0.2, 0.3])
@@ -34,8 +34,9 @@ def test_no_rows_have_no_moves():
 
 def test_one_side_is_the_same_sign_of_every_joint_in_all_rows():
     rising = np.full((4, 2), 0.1)
-    assert is_from_one_side(rising * [1.0, -2.0])
-    assert is_from_one_side(rising * [1.0, 0.0])  # a joint that never moves has no side
-    assert not is_from_one_side(0.0 * rising)
-    assert not is_from_one_side(rising[:0])
-    assert not is_from_one_side(rising * [[1.0], [1.0], [-1.0], [1.0]])
+    np.testing.assert_array_equal(common_side(rising * [1.0, -2.0]), [1.0, -1.0])
+    # A joint that never moves has no side.
+    np.testing.assert_array_equal(common_side(rising * [1.0, 0.0]), [1.0, 0.0])
+    assert common_side(0.0 * rising) is None
+    assert common_side(rising[:0]) is None
+    assert common_side(rising * [[1.0], [1.0], [-1.0], [1.0]]) is None

@@ -119,17 +119,23 @@ def test_it_is_said_if_all_joints_arrived_from_one_side(calibrated):
     _, c = calibrated("points")
     table = c.fit.measurements
 
-    def says_so(moves) -> bool:
+    first, second, *others = c.nominal.joint_names
+
+    def falling(moves) -> list[str] | None:
+        """The joints that are said to have come falling; None: nothing is said of a side."""
         result = with_part(c, "fit_in_memory", measurements=replace(table, moves=moves))
-        return Why.ONE_SIDED in [reason.why for reason in _notes(result)]
+        said = [reason.values for reason in _notes(result) if reason.why is Why.ONE_SIDED]
+        assert all({*v["rising"], *v["falling"]} == {first, second, *others} for v in said)
+        return said[0]["falling"] if said else None
 
     rising = np.full(table.joints.shape, 0.1)
-    assert says_so(rising)
-    assert says_so(-rising)
-    assert not says_so(0.0 * rising)
+    assert falling(rising) == []
+    assert falling(-rising) == [first, second, *others]
+    assert falling(np.where(np.arange(6) == 1, -rising, rising)) == [second]
+    assert falling(0.0 * rising) is None
     rising[7, 2] = -0.1
-    assert not says_so(rising)
-    assert not says_so(None)
+    assert falling(rising) is None
+    assert falling(None) is None
 
 
 def test_late_joint_values_are_not_said_to_be_creep_too():

@@ -30,7 +30,7 @@ from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import CalibError, MeasurementError, choices
-from calib.numerics.moves import is_from_one_side
+from calib.numerics.moves import common_side
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.evaluate.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
@@ -376,11 +376,16 @@ def assess(
 
 
 def _is_from_other_sides(table: Measurements, calibration: Calibration) -> bool:
-    """Return whether joints came from both sides to the rows of a table, and at the calibration from one."""
-    verdict = calibration.verdict
-    if verdict is None or all(reason.why is not Why.ONE_SIDED for reason in verdict.reasons):
+    """Return whether joints came to some row of a table from another side than to all rows of the calibration."""
+    verdict, names = calibration.verdict, calibration.nominal.joint_names
+    of_side = [] if verdict is None else [r for r in verdict.reasons if r.why is Why.ONE_SIDED]
+    if not of_side:
         return False
-    return not is_from_one_side(table.moves_for(calibration.nominal.joint_names))
+    side = common_side(table.moves_for(names))
+    if side is None:
+        return True
+    falling = [name for name, sign in zip(names, side, strict=True) if sign < 0.0]
+    return falling != list(of_side[0].values["falling"])
 
 
 def _refuse_commands(robot: Robot, table: Measurements, calibration: Calibration | None) -> None:

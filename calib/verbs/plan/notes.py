@@ -10,6 +10,7 @@ Code = Literal[
     "camera_assumed",  # nothing is known of the lens: planned for one with this focal length [px]
     "image_noise",  # the noise of an image coordinate was assumed [px]
     "board_scale",  # most of the error is from the scale of the print: its std, and the rms without it [m]
+    "one_side_hides",  # poses are approached from one side, and the model has lost motion
     "reflector_not_checked",  # a reflector, and no tracker that it must face
     "collisions_not_checked",
     "images_checked",  # camera and board were checked with the robot: the names of boxes and plane around

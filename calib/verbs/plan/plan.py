@@ -277,6 +277,8 @@ def plan(
         forecast = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
     notes = _scale_notes(sensitivity, pool, fitted, forecast.rms)
     notes += sensitivity.notes
+    if request.approach == "one" and sensitivity.kinematics.model.depends_on_moves:
+        notes.append(Note("one_side_hides"))
     if known.reflector is not None and known.tracker is None:
         notes.append(Note("reflector_not_checked"))
     notes += [Note("collisions_not_checked")] if body is None else body.notes

@@ -62,6 +62,8 @@ _NOTES: dict[Code, str] = {
     "image_noise": "Assumed noise of a corner: {0} px in u and v (sigma_image_px in the cell).",
     "board_scale": "Most of the expected error comes from the scale of the print, which is known to {0} %: with an "
     "exact one it would be {1}. Measure the print with a caliper, and state it in the board's description.",
+    "one_side_hides": "From one side lost motion cannot be told from the joints' zeros: the expected error is that of "
+    "programs that come from any side. --approach straight or both determines it.",
     "reflector_not_checked": "The reflector's direction was not checked: the tracker's position is not known "
     "(--tracker).",
     "collisions_not_checked": "Collisions were not checked.",

@@ -91,7 +91,7 @@ def test_what_commands_rest_on_if_joints_stop_short_is_said(ur3: Robot, found: C
     program = Program.of_joints(q[:3])
     assert "in their order: keep it" in said(compensate(of_order, program, tool=""))
     result = made("paper")
-    verdict = Verdict("use", (Reason.of(Why.ONE_SIDED),))
+    verdict = Verdict("use", (Reason.of(Why.ONE_SIDED, rising=["a"], falling=[]),))
     one_sided = replace(result, geometry=replace(result.geometry, verdict=verdict))
     assert "from this side too" in said(compensate(one_sided, found.program))
     assert "from this side" not in said(found)

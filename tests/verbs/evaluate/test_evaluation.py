@@ -128,7 +128,9 @@ def test_rows_that_joints_reached_from_other_sides_are_hinted_at(calibrated):
     """Only if they all came from one side at the calibration."""
     _, c = calibrated("points")
     assert c.verdict is not None
-    one_sided = replace(c.verdict, reasons=(*c.verdict.reasons, Reason.of(Why.ONE_SIDED)))
+    one_sided = replace(
+        c.verdict, reasons=(*c.verdict.reasons, Reason.of(Why.ONE_SIDED, rising=["a"], falling=[]))
+    )
     from_one = replace(c, geometry=replace(c.geometry, verdict=one_sided))
     table = c.fit.measurements
     rising = replace(table, moves=np.full(table.joints.shape, 0.1))
@@ -136,6 +138,8 @@ def test_rows_that_joints_reached_from_other_sides_are_hinted_at(calibrated):
     assert hint is not None
     assert hint.why is Why.OTHER_SIDES
     assert assess(c.nominal, rising, Cell(), from_one).hint is None
+    falling = replace(table, moves=-rising.moves)
+    assert assess(c.nominal, falling, Cell(), from_one).hint == Reason.of(Why.OTHER_SIDES)
     assert assess(c.nominal, table, Cell(), c).hint is None
 
 

@@ -222,6 +222,8 @@ def test_both_sides_determine_lost_motion_and_one_side_does_not(ur3, from_both_s
     assert (one.forecast.parameter_std[of_order] > 0.9 * prior).all()
     assert not one.forecast.identifiable[of_order].any()
     assert one.forecast.rms > 2.0 * both.rms
+    assert Note("one_side_hides") in one.notes
+    assert Note("one_side_hides") not in from_both_sides.notes
 
 
 def test_a_forecast_knows_the_order_to_drive(ur3):
