@@ -117,7 +117,7 @@ def motion_of_base(fitted: Fitted) -> BaseMotion | None:
 
     What the base does, an error of the first joint's axis in the base and the joint's offset do as well. So the motion
     must be far larger than such errors are: across the axis, those of lengths and angles of this arm or of usual ones,
-    whichever are larger; along and about it, the offsets of the other joints.
+    whichever are larger; along and about it, the offsets of the other joints, or usual ones.
 
     Args:
         fitted: A fit with prior standard deviations from the data.
@@ -201,13 +201,17 @@ def _p_of_offset(offset: float, joint: AugmentedFit, family: Mask, names: tuple[
     """Return the two-sided p-value of a joint's offset [m] or [rad] if it is drawn like those of the other joints.
 
     The test is Student's t. ``family``, shape (p,), marks the parameters that are the other joints' offsets; the first
-    of the families ``names`` with a prior standard deviation gives that of the offsets. 1 if none has.
+    of the families ``names`` with a prior standard deviation gives that of the offsets, or the usual size if that is
+    larger, which is known: the offsets of few joints may vanish by chance. 1 if none has.
     """
-    stds = [joint.prior_std[name] for name in names if name in joint.prior_std]
-    if not stds or not stds[0]:
+    stds = [(joint.prior_std[name], name) for name in names if name in joint.prior_std]
+    if not stds:
         return 1.0
+    (size, name), *_ = stds
     freedom = max(float(np.sum(joint.determined[family])), 1.0)
-    return 2.0 * float(stdtr(freedom, -abs(offset) / stds[0]))
+    if size < FAMILIES[name].typical:
+        size, freedom = FAMILIES[name].typical, np.inf
+    return 2.0 * float(stdtr(freedom, -abs(offset) / size))
 
 
 @dataclass(frozen=True, slots=True)

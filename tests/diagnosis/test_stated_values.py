@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from calib.data.cell import Cell
+from calib.diagnosis.augmented_fit import estimate_jointly
 from calib.diagnosis.reasons import Why
 from calib.diagnosis.stated_values import (
     Scale,
     _idle_covariances,
+    _p_of_offset,
     _wrong_internals,
     contradicted_values,
     instrument_scale,
@@ -21,6 +24,7 @@ from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.setup import known_distances
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.model.families import ANGLE, FAMILIES, ZERO
 from calib.robot.ranges import random_joint_values
 from tests.covariances import random_covariances
 from tests.fit.estimate.special_cases.test_pose_covariances import table_with
@@ -83,6 +87,22 @@ def test_a_base_that_stands_lower_than_any_joints_offset(clean):
     scene, table = clean
     motion = motion_of_base(fit_to(scene, moved(table, (0.0, 0.0, 12e-3))))
     assert motion.moved == pytest.approx(12e-3, abs=1e-3)
+
+
+def test_offsets_of_joints_that_vanish_by_chance_are_of_usual_size(clean):
+    """An offset is no more surprising than for zeros of 5 mrad, however small the others happen to be."""
+    fitted = fit_to(*clean)
+    columns = np.zeros((*fitted.estimate.problem.rows.used.shape, 1))
+    columns[:, 0] = 1.0
+    joint = estimate_jointly(fitted, columns)
+    zeros = fitted.kinematics.model.family(ZERO)
+    of_usual = 2.0 * norm.sf(0.013 / FAMILIES[ZERO].typical)
+    for size in (1e-7, FAMILIES[ZERO].typical / 2.0):
+        vanished = replace(joint, prior_std={**joint.prior_std, ZERO: size})
+        assert _p_of_offset(-0.013, vanished, zeros, (ZERO, ANGLE)) == pytest.approx(of_usual)
+    larger = replace(joint, prior_std={**joint.prior_std, ZERO: 0.013})
+    assert _p_of_offset(0.013, larger, zeros, (ZERO, ANGLE)) > 0.3
+    assert _p_of_offset(0.013, replace(joint, prior_std={}), zeros, (ZERO, ANGLE)) == 1.0
 
 
 def test_an_unknown_frame_has_no_base_to_be_moved(clean):
