@@ -6,8 +6,7 @@ Each case has typical errors of the geometry besides, and is measured with three
 held-out errors before and after; the true ones of the nominal and the corrected URDF over the joint limits, without
 noise and with the target registered to them, beside the expected one; the verdict and its reasons, ``+`` where the
 first reason is one of the case's own. A URDF that is `use` has to be better by a fifth. Besides a scale error, which
-nothing can show, only a lag that was modelled may get that verdict, and a named model that leaves little; both are
-stated.
+nothing can show, only a lag that was modelled may get that verdict, and that is stated.
 """
 
 from __future__ import annotations
@@ -99,14 +98,10 @@ def third_gain(robot: Robot) -> dict[str, float]:
 def displaced_base(
     length: float = 0.0, angle: float = 0.0
 ) -> Callable[[np.random.Generator], Array]:
-    """Return a function that draws the pose of a base displaced by a length [m] and turned by an angle [rad].
-
-    It is turned across the first joint's axis; about that axis a turn is the zero of the joint.
-    """
+    """Return a function that draws the pose of a base displaced by a length [m] and turned by an angle [rad]."""
 
     def draw(rng: np.random.Generator) -> Array:
         vectors = rng.normal(size=(2, 3))
-        vectors[1, 2] = 0.0
         direction, axis = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         return pose_of(length * direction, Rotation.from_rotvec(angle * axis).as_matrix())
 
@@ -154,11 +149,7 @@ EDGES = {
     "one gain 1 % off": Edge(
         GEOMETRY_LEAVES, model="dh+gain", std={"gain": 0.0}, errors=third_gain
     ),
-    "zeros alone": Edge(
-        (*GEOMETRY_LEAVES, "model_lacks", "gain"),
-        stated=("model_lacks",),
-        cell=Cell(model="zeros"),
-    ),
+    "zeros alone": Edge((*GEOMETRY_LEAVES, "model_lacks"), cell=Cell(model="zeros")),
     "lag of 0.1 %": Edge(
         (*GEOMETRY_LEAVES, "gain"), stated=("creeps", "joints_lag"), reached=lagging(1e-3)
     ),
@@ -167,7 +158,7 @@ EDGES = {
     "base 10 mm off": Edge(("base_moved",), base=displaced_base(10e-3)),
     "base 5 mm off": Edge(("base_moved",), base=displaced_base(5e-3)),
     "base 1 deg off": Edge(("base_moved",), base=displaced_base(angle=np.radians(1.0))),
-    "base 2 deg off": Edge(("base_moved", "own_frame"), base=displaced_base(angle=np.radians(2.0))),
+    "base 2 deg off": Edge(("base_moved",), base=displaced_base(angle=np.radians(2.0))),
     "target 280 mm off": Edge(("target_far",), given=displaced_target(0.28)),
     "last joint turned": Edge(("joints_turned", "joint_zero"), read=last_turned),
     "last joint turned, target given": Edge(
