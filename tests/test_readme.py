@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shutil
 import subprocess
@@ -93,14 +94,15 @@ def test_the_tables_of_the_paper_page_are_those_of_its_script():
         assert row in page
 
 
+@pytest.fixture
+def planning_study(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    return importlib.import_module("planning_study")
+
+
 @pytest.mark.slow
-def test_what_poses_are_worth_is_what_the_planning_study_prints():
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        from planning_study import worth_rows
-    finally:
-        sys.path.pop(0)
-    printed = dict(worth_rows(20_000))
+def test_what_poses_are_worth_is_what_the_planning_study_prints(planning_study):
+    printed = dict(planning_study.worth_rows(20_000))
     paper, random, planned, _ = printed.values()
     said = re.search(
         r"is ([\d.]+) after the paper's 30 poses, ([\d.]+) after 30 random ones and ([\d.]+) after 30 that",
@@ -184,12 +186,7 @@ def test_the_python_of_a_page_runs_on_files_of_its_names(page, tmp_path, monkeyp
 
 
 @pytest.mark.slow
-def test_what_approaches_are_worth_is_what_the_planning_study_prints():
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        from planning_study import approach_rows
-    finally:
-        sys.path.pop(0)
+def test_what_approaches_are_worth_is_what_the_planning_study_prints(planning_study):
     page = (ROOT / "docs" / "planning.md").read_text(encoding="utf-8")
-    for row in approach_rows(20_000):
+    for row in planning_study.approach_rows(20_000):
         assert f"| {' | '.join(row)} |" in page
