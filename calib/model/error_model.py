@@ -92,7 +92,7 @@ class ErrorModel(Value):
 
     def __post_init__(self) -> None:
         """Note the place and the twist of each term; raise ModelError for names given twice and unknown places."""
-        if not self.terms:
+        if not self.mixing.shape[1]:
             object.__setattr__(self, "terms", self.parameters)
             object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
         of_placements = [
@@ -270,12 +270,15 @@ class ErrorModel(Value):
         if not np.any(x):
             return robot
         displacements, _ = self.displacements(x)
-        placements = robot.placements.copy()
-        first = self.places.index(TIP) - len(robot.joints)
-        for i, displacement in enumerate(displacements[first : first + len(placements)]):
-            if np.abs(displacement - np.eye(4)).max() > _UNMOVED:
-                placements[i] = placements[i] @ displacement
-        return robot.with_placements(placements)
+        by_place = dict(zip(self.places, displacements, strict=True))
+        placements_of_limbs = []
+        for limb in robot.limbs:
+            placements = limb.placements.copy()
+            for i, place in enumerate((*(joint.name for joint in limb.joints), TIP)):
+                if np.abs(by_place[place] - np.eye(4)).max() > _UNMOVED:
+                    placements[i] = placements[i] @ by_place[place]
+            placements_of_limbs.append(placements)
+        return robot.with_limbs(placements_of_limbs)
 
 
 def twist_of(linear: Array, angular: Array) -> Array:
