@@ -88,6 +88,60 @@ def sigma_keys() -> Sequence[Key]:
     return rows
 
 
+# Links
+
+
+def link_options(*options: tuple[str, str, str]) -> tuple[Option, ...]:
+    """Return the options that name a link, ``LINK``, or several, each of what it is the link of, ``NAME=LINK``.
+
+    Args:
+        options: Of each its flag, its help, and what the name is that of.
+    """
+    return tuple(
+        Option(
+            flag,
+            metavar="[NAME=]LINK",
+            type=list[str],
+            help=f"{help_text} With NAME=, of {named}.",
+            parse=_one_link,
+            merge=lambda of_file, given: given or of_file,
+        )
+        for flag, help_text, named in options
+    )
+
+
+def _one_link(typed: Iterable[str], flag: str) -> str | None:
+    """Return the link that is typed without a name; None if there is none, CalibError if there are two."""
+    links = [word.strip() for word in typed if "=" not in word]
+    if len(links) > 1:
+        raise CalibError(
+            f"{flag} is given twice, as {choices(links)}; put the name of a station or target and = before each."
+        )
+    return links[0] if links else None
+
+
+def links_by_name(typed: Iterable[str], flag: str) -> dict[str, str]:
+    """Return the links that are typed with a name, ``NAME=LINK``, by it.
+
+    Args:
+        typed: Words, with or without a name.
+        flag: The option, for messages.
+
+    Raises:
+        CalibError: A name or a link is empty, or a name is given twice.
+    """
+    result: dict[str, str] = {}
+    for word in typed:
+        name, equals, link = (part.strip() for part in word.partition("="))
+        if not equals:
+            continue
+        if not name or not link or name in result:
+            fault = f"names '{name}' twice" if name in result else "lacks a name or a link"
+            raise CalibError(f"{flag} '{word}' {fault}; write NAME=LINK, each name once.")
+        result[name] = link
+    return result
+
+
 # The measurement frame
 
 

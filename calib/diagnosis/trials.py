@@ -82,7 +82,10 @@ def misfit(robot: Robot | DHRobot, setup: Setup, rows: Rows) -> tuple[float, flo
         The rms error of positions [m], the norm of three scalars, and of orientations [rad]; the latter is NaN for
         points.
     """
-    T_base_tip = robot.poses(rows.joints)
+    if isinstance(robot, Robot):
+        T_base_tip = robot.poses(rows.joints, rows.samples.chain)
+    else:
+        T_base_tip = robot.poses(rows.joints)
     registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
     errors = Errors.of(rows.residual(registered.sightings(T_base_tip, rows.samples)), rows.channels)
     return errors["m"].rms, errors["rad"].rms

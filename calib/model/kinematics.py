@@ -8,7 +8,6 @@ joints' own errors dq of `joint_displacements`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -61,6 +60,12 @@ class Samples(Value):
     def __len__(self) -> int:
         """The number N of samples."""
         return len(self.q)
+
+    def rows_of_chain(self, number: int) -> Integers:
+        """Return the indices of the samples of one chain of a robot, by its number in `Robot.chains`, from 0."""
+        if self.chain is None:
+            return np.arange(len(self) if number == 0 else 0)
+        return np.flatnonzero(self.chain == number)
 
     def select(self, chosen: Mask | Integers | slice) -> Samples:
         """Return some of the N samples: a mask, shape (N,), their indices, or a slice."""
@@ -133,7 +138,8 @@ class Kinematics(Value):
         if len(self._chains) == 1:
             return self._poses_on(self._chains[0], x, samples)
         poses = np.empty((len(samples), 4, 4))
-        for chain, rows in self._rows_by_chain(samples):
+        for number, chain in enumerate(self._chains):
+            rows = samples.rows_of_chain(number)
             poses[rows] = self._poses_on(chain, x, samples.select(rows))
         return poses
 
@@ -174,7 +180,8 @@ class Kinematics(Value):
         poses = np.empty((len(samples), 4, 4))
         # Samples come last in memory, as the kernel has them.
         twists = np.empty((len(x), 6 if rotation else 3, len(samples))).transpose(2, 1, 0)
-        for chain, rows in self._rows_by_chain(samples):
+        for number, chain in enumerate(self._chains):
+            rows = samples.rows_of_chain(number)
             chosen = samples.select(rows)
             poses[rows], twists[rows] = self._twists_on(chain, x, chosen, rotation=rotation)
         return poses, twists
@@ -208,16 +215,6 @@ class Kinematics(Value):
         """
         poses, twists = self.twists(x, samples, rotation=rotation)
         return Sightings(poses, twists, self.internals(x, samples))
-
-    def _rows_by_chain(
-        self, samples: Samples
-    ) -> Iterator[tuple[tuple[Robot, ErrorModel], Integers]]:
-        """Yield each chain that occurs in the samples with the indices of those on it."""
-        index = np.zeros(len(samples)) if samples.chain is None else samples.chain
-        for k, chain in enumerate(self._chains):
-            rows = np.flatnonzero(index == k)
-            if len(rows):
-                yield chain, rows
 
     def _poses_on(self, chain: tuple[Robot, ErrorModel], x: Array, samples: Samples) -> Array:
         """Return T_frame_target, (N, 4, 4) [m], of samples of one chain at x, (p,)."""

@@ -216,7 +216,7 @@ def _assemble(
     robot, cell = task.robot, task.cell
 
     # The nominal robot, its frames and targets as given, or registered: to the estimation rows if these see them.
-    T_base_tip = robot.poses(all_rows.joints)
+    T_base_tip = robot.poses(all_rows.joints, all_rows.samples.chain)
     setup = nominal_setup(T_base_tip[m.estimation], task.setup, all_rows.select(m.estimation))
     setup = register_held_out(
         T_base_tip[m.validation],

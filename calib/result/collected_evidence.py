@@ -163,7 +163,7 @@ def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[floa
     samples = result.samples(spread_poses(result.nominal))
     # T_frame_target, (N, 4, 4), and the derivatives of its position by the p parameters, (N, 3, p).
     poses, J = model.kinematics.twists(model.x, samples, rotation=False)
-    T_base_tip = result.nominal.poses(samples.q)
+    T_base_tip = result.nominal.poses(samples.q, samples.chain)
     nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]
     points = poses[:, :3, 3]
     away = (nominal_points - points)[:, :, None]

@@ -135,8 +135,8 @@ def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], dow
     """Return how much deeper a unit of each joint moves each point, shape (N, n, points), [m] per rad or m.
 
     A turning joint at o with the axis a moves a point p by a x (p - o), which is (p - o) . (down x a) deeper; a sliding
-    one by a, which is a . down deeper. The points are the origins of the n joints and the ends of chains; ``values`` are
-    those of N samples as of `Robot.urdf_values`, and ``down`` is a unit vector in the URDF's root, or zeros.
+    one by a, which is a . down deeper. The points are the origins of the n joints and the ends of chains; ``values``
+    are those of N samples as of `Robot.urdf_values`, and ``down`` is a unit vector in the URDF's root, or zeros.
     """
     chain = robot.all_joints
     joints = [model.getJointId(joint.name) for joint in chain]

@@ -394,8 +394,8 @@ class Robot(Value):
         if chain is not None and self.branches:
             columns = self.columns(q)
             poses = np.empty((len(columns), 4, 4))
-            for index, robot in enumerate(self.chains):
-                poses[chain == index] = robot.poses(columns[chain == index])
+            for number, robot in enumerate(self.chains):
+                poses[chain == number] = robot.poses(columns[chain == number])
             return poses
         values = self.chain_values(q)
         count, n = values.shape
