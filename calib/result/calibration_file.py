@@ -356,6 +356,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
             "joints": robot.joint_names,
         },
         "robot.held": [{"joint": name, "value": value} for name, value in robot.held.items()],
+        "robot.branches": [{"base": chain.base, "tip": chain.tip} for chain in robot.branches],
         "robot.coupling": coupling_table(robot.reading_coupling),
         "robot.origins": _origins_table(c.robot),
         "robot.nominal_origins": _origins_table(robot),
@@ -514,7 +515,10 @@ def _calibration(table: Json, folder: Path) -> Calibration:
     urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
     held = {row["joint"]: float(row["value"]) for row in robot["held"]}
     coupling = coupling_of_table(robot.get("coupling", ()))  # files of earlier versions have none
-    nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held, coupling=coupling)
+    branches = [(row["base"], row["tip"]) for row in robot.get("branches", ())]
+    nominal = Robot.from_urdf(
+        urdf, robot["base"], robot["tip"], held=held, coupling=coupling, branches=branches
+    )
 
     geometry = FittedModel(**_model_values(FittedModel, table, nominal))
     non_geometric = None

@@ -327,6 +327,11 @@ class Robot(Value):
             return (self,)
         return (replace(self, branches=()), *self.branches)
 
+    def with_urdf(self, urdf: Urdf) -> Robot:
+        """Return the robot with another URDF that has the same chains, such as one with another comment."""
+        branches = tuple(replace(branch, urdf=urdf) for branch in self.branches)
+        return replace(self, urdf=urdf, branches=branches)
+
     @property
     def limbs(self) -> tuple[Robot, ...]:
         """The chains whose placements are corrected, from the link where all of ``chains`` part; itself if it is one.

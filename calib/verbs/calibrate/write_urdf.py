@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from calib.errors import ModelError, UrdfError, VerdictError, choices
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
@@ -44,7 +46,8 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
             raise ModelError(
                 f"There are {len(names)} targets, {choices(names)}; a target link can be written for one."
             )
-        tip, T_tip_target = c.robot.tip, c.setup.T_tip_target[0]
+        tip = c.setup.target_links[0] if c.setup.target_links else c.robot.tip
+        T_tip_target = c.setup.T_tip_target[0]
         if TARGET_LINK not in urdf.links:
             urdf = urdf.with_link(TARGET_LINK, tip, T_tip_target)
         else:
@@ -56,9 +59,10 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
                     f"'{joint.parent}' by a {joint.type} joint. Rename it, or do without the target link."
                 )
             urdf = urdf.with_origins({joint.name: T_tip_target})
-    robot = replace(c.robot, urdf=urdf)
+    robot = c.robot.with_urdf(urdf)
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
-    T_base_tip = c.geometry.tips(Samples.at(q))
-    check_written(robot, T_base_tip, q, c.nominal)
-    return robot.urdf
+    chain = np.repeat(np.arange(len(robot.chains)), len(q))
+    samples = replace(Samples.at(np.tile(q, (len(robot.chains), 1))), chain=chain)
+    check_written(robot, c.geometry.tips(samples), q, c.nominal)
+    return urdf
