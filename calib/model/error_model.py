@@ -27,6 +27,9 @@ TIP = "(tip)"
 #: Place of a target, followed by the target's name.
 TARGET = "(target)"
 
+#: Family of the pose of a further robot's root in the root of the first one; its place is the fixed joint between them.
+MOUNT = "(mount)"
+
 #: Family of the intrinsics of a camera, which are estimated with its frame.
 CAMERA = "camera"
 
@@ -34,7 +37,7 @@ CAMERA = "camera"
 BOARD = "board"
 
 #: Families of parameters that are not errors of the robot.
-SETUP = (FRAME, TARGET, CAMERA, BOARD)
+SETUP = (FRAME, TARGET, MOUNT, CAMERA, BOARD)
 
 #: A placement that is displaced by less stays as it is, and so does its <origin> [m; rotation matrices: 1].
 _UNMOVED = 1e-12
@@ -278,7 +281,11 @@ class ErrorModel(Value):
                 if np.abs(by_place[place] - np.eye(4)).max() > _UNMOVED:
                     placements[i] = placements[i] @ by_place[place]
             placements_of_limbs.append(placements)
-        return robot.with_limbs(placements_of_limbs)
+        mounts = {}
+        for mount in robot.mounts:
+            if np.abs(by_place[mount] - np.eye(4)).max() > _UNMOVED:
+                mounts[mount] = robot.urdf.joint(mount).T_parent_joint @ by_place[mount]
+        return robot.with_limbs(placements_of_limbs, mounts)
 
 
 def twist_of(linear: Array, angular: Array) -> Array:

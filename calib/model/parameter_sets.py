@@ -25,6 +25,7 @@ from calib.errors import ModelError, choices, did_you_mean
 from calib.model.dh_table import dh_table, zero_poses
 from calib.model.error_model import (
     FRAME,
+    MOUNT,
     TARGET,
     TIP,
     ErrorModel,
@@ -118,10 +119,22 @@ def error_model(
         )
     outer = frame_and_target_model(frame, target, targets, rotation=rotation)
     joints = tuple(joint.name for joint in robot.all_joints)
+    mounts = [
+        Parameter(
+            name=placed_name("mount", direction, part.name),
+            unit=_UNITS[direction],
+            place=part.mount,
+            direction=_TWISTS[direction],
+            family=MOUNT,
+        )
+        for part in robot.parts
+        if part.mount in robot.mounts
+        for direction in DIRECTIONS
+    ]
     model = ErrorModel(
         name=name if isinstance(name, str) else OWN,
-        places=(*outer.places[: len(frame)], *joints, *outer.places[len(frame) :]),
-        parameters=(*robot_parameters, *outer.parameters, *further),
+        places=(*outer.places[: len(frame)], *joints, *robot.mounts, *outer.places[len(frame) :]),
+        parameters=(*robot_parameters, *mounts, *outer.parameters, *further),
     )
     if set_name == "zeros":
         return model.tied(_follower_ties(robot))

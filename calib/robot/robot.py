@@ -22,6 +22,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +43,7 @@ from calib.robot.chain import (
 from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.default_tip import farthest_link
 from calib.robot.dh_rows import STANDARD, DHRobot, DHRow, DHTable
+from calib.robot.joined_urdf import Part
 from calib.robot.urdf import Urdf, read_urdf, urdf_of_dh
 from calib.robot.urdf_tree import UrdfJoint
 
@@ -91,6 +93,8 @@ class Robot(Value):
     path: Mapping[str, OnPath] = field(compare=False)
     #: Further chains of the URDF, without branches of their own; they have the same columns of q.
     branches: tuple[Robot, ...] = ()
+    #: Further robots that the URDF was joined from, see `calib.robot.joined_urdf`.
+    parts: tuple[Part, ...] = ()
 
     @classmethod
     def load(
@@ -143,6 +147,7 @@ class Robot(Value):
         held: Mapping[str, float] | None = None,
         coupling: Mapping[str, Mapping[str, float]] | None = None,
         branches: Sequence[tuple[str, str]] = (),
+        parts: tuple[Part, ...] = (),
     ) -> Robot:
         """Return the chain from ``base`` to ``tip`` of a URDF that has been read.
 
@@ -155,6 +160,7 @@ class Robot(Value):
             coupling: Factors by name of readings that are added to those of each coupled joint; see `load`. None or
                 empty: those of the DH rows that the URDF was made from, if it was.
             branches: Base and tip of further chains, whose joints have columns of q too.
+            parts: Further robots that the URDF was joined from.
 
         Raises:
             ArgumentError: An argument has a wrong type.
@@ -218,6 +224,7 @@ class Robot(Value):
                 _offset=columns.offset,
                 reading_matrix=reading_matrix(urdf, names, couplings),
                 path=chain.path,
+                parts=parts,
             )
             robots.append(robot)
         if len(robots) == 1:
@@ -310,6 +317,7 @@ class Robot(Value):
             held=self.held,
             coupling=self.reading_coupling,
             branches=self._branch_ends if same_links else (),
+            parts=self.parts,
         )
 
     def __repr__(self) -> str:
@@ -355,6 +363,12 @@ class Robot(Value):
         for chain in self.branches:
             links += [chain.tip, chain.base]
         return tuple(dict.fromkeys(links))
+
+    @property
+    def mounts(self) -> tuple[str, ...]:
+        """The fixed joints on which further robots stand, if a chain leads over them."""
+        passed = {name for chain in self.chains for name in chain.path}
+        return tuple(part.mount for part in self.parts if part.mount in passed)
 
     @property
     def _branch_ends(self) -> tuple[tuple[str, str], ...]:
@@ -556,24 +570,27 @@ class Robot(Value):
         changed = {name: T for name, T in after.items() if (before[name] != T).any()}
         return replace(moved, urdf=self.urdf.with_origins(changed))
 
-    def with_limbs(self, placements: Sequence[Array]) -> Robot:
+    def with_limbs(
+        self, placements: Sequence[Array], mounts: Mapping[str, Array] = MappingProxyType({})
+    ) -> Robot:
         """Return a new robot whose limbs have other placements, and the ``<origin>`` elements to match.
 
         Args:
             placements: Of each of ``limbs``, see `with_placements`; an ``<origin>`` of several is the same in all.
+            mounts: Other poses of further robots in the URDF's root, (4, 4) [m], by the names of ``mounts``.
 
         Raises:
             ModelError: As of `with_placements`.
             UrdfError: As of `with_placements`.
         """
-        if not self.branches:
+        if not self.branches and not mounts:
             return self.with_placements(placements[0])
         changed: dict[str, Array] = {}
         before = self.origins()
         for limb, of_limb in zip(self.limbs, placements, strict=True):
             after = limb.with_placements(of_limb).origins()
             changed |= {name: T for name, T in after.items() if (before[name] != T).any()}
-        return self.rebuilt(self.urdf.with_origins(changed))
+        return self.rebuilt(self.urdf.with_origins(changed | dict(mounts)))
 
     def origins(self) -> dict[str, Array]:
         """Return the ``<origin>`` of each URDF joint that carries a placement of a limb, by name, (4, 4) [m]."""
@@ -584,6 +601,8 @@ class Robot(Value):
             ):
                 if carrier is not None:
                     origins[carrier] = factors.origin(P)
+        for mount in self.mounts:
+            origins[mount] = np.asarray(self.urdf.joint(mount).T_parent_joint)
         return origins
 
 
@@ -603,7 +622,12 @@ def _limbs_of(robot: Robot) -> tuple[Robot, ...]:
         if moves and not any(other[: len(way)] == way and other != way for other in ways):
             ends.append((parting, link))
     first = Robot.from_urdf(
-        urdf, *ends[0], held=robot.held, coupling=robot.reading_coupling, branches=ends[1:]
+        urdf,
+        *ends[0],
+        held=robot.held,
+        coupling=robot.reading_coupling,
+        branches=ends[1:],
+        parts=robot.parts,
     )
     order = [first.joint_names.index(name) for name in robot.joint_names]
     return tuple(
