@@ -73,15 +73,16 @@ from calib.data.cell_keys import (
     by_name,
     camera_keys,
     link_options,
-    links_by_name,
     pose_form,
     pose_keys,
     sigma_keys,
+    words_by_name,
 )
 from calib.data.priors import Priors, prior_keys
 from calib.data.record import Record
 from calib.data.surroundings import (
     Box,
+    FurtherRobot,
     GroupDistance,
     Reflector,
     Tracker,
@@ -101,6 +102,7 @@ __all__ = [
     "AUTO",
     "Box",
     "Cell",
+    "FurtherRobot",
     "GroupDistance",
     "Priors",
     "Record",
@@ -186,7 +188,7 @@ class Cell(Value):
         "all on one link.",
         default_factory=ReadOnlyMapping,
         absent="`base` for all",
-        option=tuple(replace(o, parse=links_by_name, merge=add_entries) for o in _BASE_OPTIONS),
+        option=tuple(replace(o, parse=words_by_name, merge=add_entries) for o in _BASE_OPTIONS),
     )
     #: Tip link; None: left to the command line or the URDF.
     tip: str | None = key(
@@ -205,7 +207,26 @@ class Cell(Value):
         "link.",
         default_factory=ReadOnlyMapping,
         absent="`tip` for all",
-        option=tuple(replace(o, parse=links_by_name, merge=add_entries) for o in _TIP_OPTIONS),
+        option=tuple(replace(o, parse=words_by_name, merge=add_entries) for o in _TIP_OPTIONS),
+    )
+    #: Robots besides the first one, by name, which begins the names of their links and joints: ``right/tool0``.
+    robots: Mapping[str, FurtherRobot] = key(
+        "robots",
+        named(table_of(FurtherRobot)),
+        "Robots besides the first one, see below.",
+        default_factory=ReadOnlyMapping,
+        absent="none",
+        option=Option(
+            "--robot",
+            metavar="NAME=ROBOT",
+            type=list[str],
+            help="A further robot of the cell: its URDF, or its name. Names of its links and joints begin with NAME/, "
+            "here and in the table. Its base in that of the first robot is estimated.",
+            parse=lambda typed, flag: {
+                name: FurtherRobot(robot) for name, robot in words_by_name(typed, flag).items()
+            },
+            merge=add_entries,
+        ),
     )
     #: True if the targets are estimated with the robot. A fit registers them first; ``target`` is then one of several
     #: starts if that is not linear, the nominal robot is evaluated with it, and the estimate is checked against it.

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
+import numpy as np
+
 from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.columns import WORD_COLUMNS, name_columns
 from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.errors import ModelError, choices
+from calib.robot.joined_urdf import Part, joined_urdf
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
+from calib.robot.urdf import Urdf, read_urdf
 
 #: A station and a target, by name.
 Sight = tuple[str, str]
@@ -56,8 +59,20 @@ def robot_of_cell(
         UrdfError: No such link or joint, or a chain that calib cannot take.
         ModelError: A target's link is not named, while those of others are.
     """
+    parts = tuple(
+        Part(name, read_urdf(further.robot), estimated=further.estimated)
+        for name, further in cell.robots.items()
+    )
+    if parts:
+        mounts = {
+            name: np.eye(4) if further.T_root_base is None else further.T_root_base
+            for name, further in cell.robots.items()
+        }
+        urdf = joined_urdf(urdf, parts, mounts)
     if not cell.bases and not cell.tips:
-        return Robot.from_urdf(urdf, cell.base, cell.tip, measured, cell.held, cell.coupling)
+        return Robot.from_urdf(
+            urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
+        )
     if sights is None:
         sights = [(group, target) for group in cell.bases or [""] for target in cell.tips or [""]]
     ends = []
@@ -71,10 +86,10 @@ def robot_of_cell(
         ends.append((cell.bases.get(group, cell.base or urdf.root), tip))
     (base, tip), *others = dict.fromkeys(ends)
     if not others:
-        return Robot.from_urdf(urdf, base, tip, measured, cell.held, cell.coupling)
+        return Robot.from_urdf(urdf, base, tip, measured, cell.held, cell.coupling, parts=parts)
     if tip is None:  # the one tip of all frames is the farthest from the first
         tip = Robot.from_urdf(urdf, base, None, measured, cell.held, cell.coupling).tip
     branches = [(other_base, other_tip or tip) for other_base, other_tip in others]
     return Robot.from_urdf(
-        urdf, base, tip, held=cell.held, coupling=cell.coupling, branches=branches
+        urdf, base, tip, held=cell.held, coupling=cell.coupling, branches=branches, parts=parts
     )

@@ -120,15 +120,15 @@ def _one_link(typed: Iterable[str], flag: str) -> str | None:
     return links[0] if links else None
 
 
-def links_by_name(typed: Iterable[str], flag: str) -> dict[str, str]:
-    """Return the links that are typed with a name, ``NAME=LINK``, by it.
+def words_by_name(typed: Iterable[str], flag: str) -> dict[str, str]:
+    """Return the words that are typed after a name, ``NAME=WORD``, by it.
 
     Args:
         typed: Words, with or without a name.
         flag: The option, for messages.
 
     Raises:
-        CalibError: A name or a link is empty, or a name is given twice.
+        CalibError: A name or a word is empty, or a name is given twice.
     """
     result: dict[str, str] = {}
     for word in typed:
@@ -136,8 +136,10 @@ def links_by_name(typed: Iterable[str], flag: str) -> dict[str, str]:
         if not equals:
             continue
         if not name or not link or name in result:
-            fault = f"names '{name}' twice" if name in result else "lacks a name or a link"
-            raise CalibError(f"{flag} '{word}' {fault}; write NAME=LINK, each name once.")
+            fault = f"names '{name}' twice" if name in result else "lacks what stands beside ="
+            raise CalibError(
+                f"{flag} '{word}' {fault}; write a name, = and what it is of, each name once."
+            )
         result[name] = link
     return result
 
@@ -178,8 +180,8 @@ _EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', PLAIN: "1e-3", COMPLIANCE: '
 
 #: Quantities of geometric parameters by a pattern of their names, see docs/parameters.md; the first that fits is taken.
 _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    (r"[ad]\d+|(frame|target)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
-    (r"(alpha|beta|theta)\d+|(frame|target)_r[xyz](\[.*\])?|.*\.r[xyz]", (ANGLE,)),
+    (r"[ad]\d+|(frame|target|mount)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
+    (r"(alpha|beta|theta)\d+|(frame|target|mount)_r[xyz](\[.*\])?|.*\.r[xyz]", (ANGLE,)),
     (r".*\.zero", (LENGTH, ANGLE)),
 )
 

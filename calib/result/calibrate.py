@@ -22,7 +22,9 @@ from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.registration.mounts import with_mounts_found
 from calib.fit.registration.registration import nominal_setup, register_held_out
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.fit.selection.row_weights import compare_weights
@@ -92,6 +94,9 @@ def calibrate(
     if isinstance(model, str):
         stated = replace(stated, model=model)
     measured = measured.without_copies()
+    if arm.mounts:
+        rows, setup = rows_and_setup(arm, measured, stated)
+        arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
     fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
     drift = None
     if validate and not fits.mistake:

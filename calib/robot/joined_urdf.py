@@ -40,6 +40,8 @@ class Part(Value):
     name: str
     #: Its own URDF.
     urdf: Urdf
+    #: True if its place, the <origin> of ``mount``, is estimated.
+    estimated: bool = True
 
     @property
     def mount(self) -> str:

@@ -366,9 +366,9 @@ class Robot(Value):
 
     @property
     def mounts(self) -> tuple[str, ...]:
-        """The fixed joints on which further robots stand, if a chain leads over them."""
+        """The fixed joints on which further robots stand, if their poses are estimated and a chain leads over them."""
         passed = {name for chain in self.chains for name in chain.path}
-        return tuple(part.mount for part in self.parts if part.mount in passed)
+        return tuple(part.mount for part in self.parts if part.estimated and part.mount in passed)
 
     @property
     def _branch_ends(self) -> tuple[tuple[str, str], ...]:
