@@ -68,7 +68,9 @@ def robot_of_cell(
             name: np.eye(4) if further.T_root_base is None else further.T_root_base
             for name, further in cell.robots.items()
         }
+        first = Part("", urdf, estimated=False)
         urdf = joined_urdf(urdf, parts, mounts)
+        parts = (first, *parts)
     if not cell.bases and not cell.tips:
         return Robot.from_urdf(
             urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts

@@ -695,6 +695,7 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
         held=robot.held,
         coupling=robot.reading_coupling,
         branches=ends,
+        parts=source.parts,
     )
 
 

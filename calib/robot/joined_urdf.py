@@ -34,9 +34,10 @@ _TAKEN = ("link", "joint", "material")
 
 @dataclass(frozen=True, slots=True)
 class Part(Value):
-    """A further robot of a cell."""
+    """A robot of a joined URDF."""
 
-    #: Its name, which begins the names of its links and joints in the joined URDF.
+    #: Its name, which begins the names of its links and joints in the joined URDF; empty: the first one, which stands
+    #: in the root.
     name: str
     #: Its own URDF.
     urdf: Urdf
@@ -48,19 +49,19 @@ class Part(Value):
         """The fixed joint of the joined URDF that it stands on."""
         return f"{self.name}{SEPARATOR}mount"
 
-    def own_name(self, name: str) -> str | None:
-        """Return the name that a joint or link of the joined URDF has in the robot's own; None if it is not its own."""
-        prefix = self.name + SEPARATOR
-        return name.removeprefix(prefix) if name.startswith(prefix) and name != self.mount else None
-
     def with_origins_of(self, origins: Mapping[str, Array]) -> Urdf:
         """Return the robot's own URDF with joint origins of the joined one, those of other robots left out.
 
         Args:
             origins: Poses of joints in their parent links, (4, 4) [m], by their names in the joined URDF.
         """
-        own = {self.own_name(name): T for name, T in origins.items()}
-        return self.urdf.with_origins({name: T for name, T in own.items() if name is not None})
+        prefix = f"{self.name}{SEPARATOR}" if self.name else ""
+        own_origins = {
+            joint.name: origins[prefix + joint.name]
+            for joint in self.urdf.joints
+            if prefix + joint.name in origins
+        }
+        return self.urdf.with_origins(own_origins)
 
 
 def joined_urdf(first: Urdf, parts: tuple[Part, ...], mounts: Mapping[str, Array]) -> Urdf:

@@ -93,7 +93,7 @@ class Robot(Value):
     path: Mapping[str, OnPath] = field(compare=False)
     #: Further chains of the URDF, without branches of their own; they have the same columns of q.
     branches: tuple[Robot, ...] = ()
-    #: Further robots that the URDF was joined from, see `calib.robot.joined_urdf`.
+    #: The robots that the URDF was joined from, see `calib.robot.joined_urdf`; empty if it is of one robot.
     parts: tuple[Part, ...] = ()
 
     @classmethod
@@ -160,7 +160,7 @@ class Robot(Value):
             coupling: Factors by name of readings that are added to those of each coupled joint; see `load`. None or
                 empty: those of the DH rows that the URDF was made from, if it was.
             branches: Base and tip of further chains, whose joints have columns of q too.
-            parts: Further robots that the URDF was joined from.
+            parts: The robots that the URDF was joined from; empty for one robot.
 
         Raises:
             ArgumentError: An argument has a wrong type.
@@ -369,6 +369,16 @@ class Robot(Value):
         """The fixed joints on which further robots stand, if their poses are estimated and a chain leads over them."""
         passed = {name for chain in self.chains for name in chain.path}
         return tuple(part.mount for part in self.parts if part.estimated and part.mount in passed)
+
+    def own_urdfs(self) -> dict[str, Urdf]:
+        """Return the URDF of each robot of a cell, corrected as this one is, by its name, ``""`` for the first.
+
+        A robot that is alone has this one's URDF.
+        """
+        if not self.parts:
+            return {"": self.urdf}
+        origins = self.origins()
+        return {part.name: part.with_origins_of(origins) for part in self.parts}
 
     @property
     def _branch_ends(self) -> tuple[tuple[str, str], ...]:

@@ -31,7 +31,23 @@ def write_urdf(
     verdict_against = do_not_use_text(c.verdict)
     if verdict_against and not accept:
         raise VerdictError(refusal(f"'{path}'", verdict_against))
-    return checked_urdf(c, target_link=target_link).write(path, overwrite=overwrite)
+    urdf = checked_urdf(c, target_link=target_link)
+    if c.robot.parts:
+        for name, own in c.robot.own_urdfs().items():
+            described = own.with_comments(run=c.run, verdict=verdict_against)
+            described.write(path_of_robot(path, name), overwrite=overwrite)
+    return urdf.write(path, overwrite=overwrite)
+
+
+def path_of_robot(path: str | Path, name: str) -> Path:
+    """Return the path of the URDF of one robot of a cell: ``cell_right.urdf`` of ``right`` beside ``cell.urdf``.
+
+    Args:
+        path: That of the cell's URDF.
+        name: The robot's name; empty for the first, ``cell_first.urdf``.
+    """
+    of_cell = Path(path)
+    return of_cell.with_name(f"{of_cell.stem}_{name or 'first'}{of_cell.suffix}")
 
 
 def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
