@@ -217,7 +217,7 @@ class Cell(Value):
         default_factory=ReadOnlyMapping,
         absent="none",
         option=Option(
-            "--robot",
+            "--other-robot",
             metavar="NAME=ROBOT",
             type=list[str],
             help="A further robot of the cell: its URDF, or its name. Names of its links and joints begin with NAME/, "

@@ -110,9 +110,14 @@ def link_options(*options: tuple[str, str, str]) -> tuple[Option, ...]:
     )
 
 
-def _one_link(typed: Iterable[str], flag: str) -> str | None:
+def _words(typed: str | Iterable[str]) -> list[str]:
+    """Return words that are typed as a list; a manifest of a fleet has one word."""
+    return [typed] if isinstance(typed, str) else list(typed)
+
+
+def _one_link(typed: str | Iterable[str], flag: str) -> str | None:
     """Return the link that is typed without a name; None if there is none, CalibError if there are two."""
-    links = [word.strip() for word in typed if "=" not in word]
+    links = [word.strip() for word in _words(typed) if "=" not in word]
     if len(links) > 1:
         raise CalibError(
             f"{flag} is given twice, as {choices(links)}; put the name of a station or target and = before each."
@@ -120,7 +125,7 @@ def _one_link(typed: Iterable[str], flag: str) -> str | None:
     return links[0] if links else None
 
 
-def words_by_name(typed: Iterable[str], flag: str) -> dict[str, str]:
+def words_by_name(typed: str | Iterable[str], flag: str) -> dict[str, str]:
     """Return the words that are typed after a name, ``NAME=WORD``, by it.
 
     Args:
@@ -131,7 +136,7 @@ def words_by_name(typed: Iterable[str], flag: str) -> dict[str, str]:
         CalibError: A name or a word is empty, or a name is given twice.
     """
     result: dict[str, str] = {}
-    for word in typed:
+    for word in _words(typed):
         name, equals, link = (part.strip() for part in word.partition("="))
         if not equals:
             continue
