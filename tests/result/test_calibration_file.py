@@ -252,7 +252,7 @@ WHOLE = {
     "cross_validation", "verdict", "non_geometric", "non_geometric.payload", "non_geometric.cross_validation",
     "noise.repeats",
     "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
-    "model.ties", "robot.held", "robot.coupling", "robustness", "outside", "verdict.reasons",
+    "model.ties", "robot.held", "robot.coupling", "robot.branches", "inputs.robots", "chains", "robustness", "outside", "verdict.reasons",
     "verdict.reasons[].values", "plugins", "frames.optics", "frames.nominal.optics", "non_geometric.frames.optics",
     "cameras", "boards", "nominal_cameras", "nominal_boards",
 }  # fmt: skip
@@ -270,6 +270,9 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
                 "model.ties",
                 "robot.held",
                 "robot.coupling",
+                "robot.branches",
+                "inputs.robots",
+                "chains",
                 "non_geometric.payload",
                 "noise.sigma_given",
                 "plugins",

@@ -73,7 +73,7 @@ def geometry_parameters(task: Task) -> dict[str, int]:
     counts: dict[str, int] = {}
     listed = set()
     for geometry in LADDER:
-        if task.robot.branches and geometry in OF_ONE_CHAIN:
+        if task.robot.is_tree and geometry in OF_ONE_CHAIN:
             continue
         names = replace(task, model=geometry).error_model().names
         if names and names not in listed:
@@ -142,7 +142,7 @@ def check_parameter_names(task: Task) -> None:
     without_frozen = replace(task, cell=replace(cell, frozen=(), ties={}))
     largest = model_name("placement", joint_families())
     known = set()
-    others = ("zeros",) if task.robot.branches else ("zeros", "dh", "hayati")
+    others = ("zeros",) if task.robot.is_tree else ("zeros", "dh", "hayati")
     for model in (largest, *others):
         known |= {*replace(without_frozen, model=model).error_model().names}
     unknown = sorted(named - known)
