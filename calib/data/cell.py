@@ -213,7 +213,7 @@ class Cell(Value):
     robots: Mapping[str, FurtherRobot] = key(
         "robots",
         named(table_of(FurtherRobot)),
-        "Robots besides the first one, see below.",
+        "Robots besides the first one, see [several chains](several-chains.md).",
         default_factory=ReadOnlyMapping,
         absent="none",
         option=Option(

@@ -252,7 +252,8 @@ WHOLE = {
     "cross_validation", "verdict", "non_geometric", "non_geometric.payload", "non_geometric.cross_validation",
     "noise.repeats",
     "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
-    "model.ties", "robot.held", "robot.coupling", "robot.branches", "inputs.robots", "chains", "robustness", "outside", "verdict.reasons",
+    "model.ties", "robot.held", "robot.coupling", "robot.branches", "inputs.robots", "chains",
+    "robustness", "outside", "verdict.reasons",
     "verdict.reasons[].values", "plugins", "frames.optics", "frames.nominal.optics", "non_geometric.frames.optics",
     "cameras", "boards", "nominal_cameras", "nominal_boards",
 }  # fmt: skip
