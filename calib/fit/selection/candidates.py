@@ -100,6 +100,8 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     patterns: dict[str, Array] = {}
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
+        if not terms:
+            continue
         moves_joints = False
         patterns_on_chains = []
         for number, chain in enumerate(robot.chains):
