@@ -256,6 +256,29 @@ class Board:
         width, height = self.size
         return np.array([width / 2.0, height / 2.0, 0.0])
 
+    @property
+    def looks_same_turned(self) -> bool:
+        """True if the print looks the same after half a turn, so that no picture shows which end is the first.
+
+        It is so for a chessboard whose columns and rows are both even, or both odd.
+        """
+        return len(self.orders_alike) > 1
+
+    @property
+    def orders_alike(self) -> Integers:
+        """The orders in which the corners may be numbered so that the print looks the same, shape (k, n).
+
+        In the order ``o`` the corner found as ``i`` is the corner ``o[i]`` of the board. The first order is that of the
+        ids; the next is half a turn: ``n - 1 - i``. A square of odd squares also looks the same after a quarter.
+        """
+        ids = self.corner_ids()
+        if self.pattern != CHESSBOARD or (self.columns + self.rows) % 2 == 1:
+            return ids[None]
+        grid = ids.reshape(self.rows - 1, self.columns - 1)
+        is_quarter = self.columns == self.rows and self.columns % 2 == 1
+        turns = (0, 2, 1, 3) if is_quarter else (0, 2)
+        return np.stack([np.rot90(grid, turn).reshape(-1) for turn in turns])
+
     def corner_ids(self) -> Integers:
         """Return the ids 0 to n - 1 of the n corners, shape (n,): in rows along x, of tags clockwise from top left."""
         return np.arange(len(self.corners))

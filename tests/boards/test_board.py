@@ -62,6 +62,28 @@ def test_chessboard_has_inner_corners_in_rows():
 
 
 @pytest.mark.parametrize(
+    ("columns", "rows", "orders"),
+    [(4, 3, 1), (10, 8, 2), (7, 5, 2), (4, 4, 2), (5, 5, 4)],
+)
+def test_chessboards_that_look_the_same_turned(columns, rows, orders):
+    board = Board(pattern=CHESSBOARD, columns=columns, rows=rows, square=0.02)
+    alike = board.orders_alike
+    assert len(alike) == orders
+    assert board.looks_same_turned == (orders > 1)
+    # Numbered in each of these orders, corners are a turned copy of the board, with the same colours.
+    about_middle = (board.corners - board.centre)[:, :2]
+    for order in alike:
+        R, _, _, _ = np.linalg.lstsq(about_middle, about_middle[order], rcond=None)
+        np.testing.assert_allclose(about_middle @ R, about_middle[order], atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+        # A quarter of a turn exchanges the axes, and with them the sign.
+        sign = 1.0 if abs(R[0, 0]) > 0.5 else -1.0
+        np.testing.assert_array_equal(corner_signs(board)[order], sign * corner_signs(board))
+    assert not charuco().looks_same_turned
+    assert not TAG_BOARD.looks_same_turned
+
+
+@pytest.mark.parametrize(
     "changes",
     [
         {"pattern": "dots"},

@@ -154,11 +154,6 @@ _FEWEST = 4
 _MOST_ON_EDGE = 0.5
 
 
-def is_ambiguous(board: Board) -> bool:
-    """Return True if a chessboard looks the same after half a turn."""
-    return (board.columns + board.rows) % 2 == 0
-
-
 def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:  # noqa: ANN401  8-bit
     """Find a plain chessboard in an image, by OpenCV, and the order of its inner corners.
 

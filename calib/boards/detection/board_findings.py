@@ -14,7 +14,7 @@ import calib.basics.jobs as jobs
 from calib.basics.arrays import Array
 from calib.basics.values import Value
 from calib.boards.board import CHARUCO, CHESSBOARD, Board, marker_outlines
-from calib.boards.corners.chessboards import is_ambiguous, size_of_chessboard
+from calib.boards.corners.chessboards import size_of_chessboard
 from calib.boards.corners.markers import Markers, find_markers, place_board
 from calib.boards.corners.planar_map import fit_planar_map
 from calib.boards.detection.board_search import (
@@ -133,7 +133,7 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
     for picture in pictures:
         by_reason[_view(picture, board).reason].append(picture)
     if board.pattern == CHESSBOARD:
-        if is_ambiguous(board):
+        if board.looks_same_turned:
             yield Finding(code=AMBIGUOUS, board=board.name)
         return
     for code in (MIRRORED, TWO_BOARDS):

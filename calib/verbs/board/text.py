@@ -116,7 +116,7 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
     corners = plural(len(board.corners), "corner")
     lines.append(fill(f"{corners}; {_mm(width)} wide and {_mm(height)} high, {where}."))
     note = ""
-    if board.pattern == CHESSBOARD and (board.columns + board.rows) % 2 == 0:
+    if board.looks_same_turned:
         note = _AMBIGUOUS
     elif board.pattern == CHARUCO and board.rows % 2 == 0:
         note = _LEGACY_LAYOUT if board.legacy else _NEW_LAYOUT
