@@ -7,18 +7,20 @@ determine lens and pose, hence where its corners must be. A corner is taken if t
 The first map to a plain chessboard is from OpenCV, which finds all inner corners or none, and does not know where the
 board begins.
 Of the orders of the corners, turned by quarters or halves, the right one has a black square at the origin. It is unique
-if columns and rows add up to an odd number. Otherwise the board looks the same after half a turn; then the order is
-taken whose x axis points most to the right of the image, which is the same board pose in two images only while the
-camera does not roll by more than a quarter of a turn.
+if columns and rows add up to an odd number. Otherwise the board looks the same after half a turn, and may as well have
+a white square at the origin; then the order is taken whose x axis points most to the right of the image. In another
+image that may be the other end of the board: who knows how the camera moved says which of `Board.orders_alike` it is.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from calib.basics.arrays import Array, Mask
+from calib.basics.values import Value
 from calib.boards.board import CHARUCO, Board, corner_signs
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
 from calib.boards.corners.saddles import Saddles, find_saddles
@@ -61,7 +63,13 @@ _TOLERANCE_PX = 1.0
 
 
 def find_inner_corners(
-    image: Array, board: Board, start: PlanarMap, points: Array, pixels: Array
+    image: Array,
+    board: Board,
+    start: PlanarMap,
+    points: Array,
+    pixels: Array,
+    *,
+    is_white_first: bool = False,
 ) -> tuple[Saddles, PlanarMap]:
     """Find the inner corners of a board, refining a map from the board to the image as more corners are found.
 
@@ -71,13 +79,14 @@ def find_inner_corners(
         start: A map from the board to the image.
         points: Points of the board to which the map was fitted, shape (m, 2) [m].
         pixels: Their pixels, shape (m, 2).
+        is_white_first: True if the colours are the opposite of those described: a white square at the origin.
 
     Returns:
         All inner corners in the order of their ids, NaN for those that were not found or do not agree with the others;
         and the map fitted to those found.
     """
     corners = board.corners[:, :2]
-    signs = corner_signs(board)
+    signs = -corner_signs(board) if is_white_first else corner_signs(board)
     image_size = (image.shape[1], image.shape[0])
     planar_map = start
     count = -1
@@ -154,7 +163,19 @@ _FEWEST = 4
 _MOST_ON_EDGE = 0.5
 
 
-def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:  # noqa: ANN401  8-bit
+@dataclass(frozen=True, slots=True, eq=False)
+class Chessboard(Value):
+    """A plain chessboard in an image, as OpenCV finds it, with its corners in order."""
+
+    #: From the board to the image.
+    map: PlanarMap
+    #: The approximate pixels of the corners in the order of their ids, shape (n, 2).
+    pixels: Array
+    #: True if the square at the origin is white, which only a board that looks the same turned may have.
+    is_white_first: bool
+
+
+def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN401  8-bit
     """Find a plain chessboard in an image, by OpenCV, and the order of its inner corners.
 
     Args:
@@ -162,8 +183,7 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
         board: A chessboard.
 
     Returns:
-        The map from the board to the image, and the approximate pixels of the corners in the order of their ids, shape
-        (n, 2); None if not all corners are seen.
+        The chessboard; None if not all corners are seen.
 
     Raises:
         CalibError: The board has fewer columns or rows than OpenCV finds.
@@ -201,11 +221,13 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
         windows = windows_at(board, planar_map, board.corners[:, :2])
         agreeing = find_saddles(grey, ordered, windows, signs).exist.sum()
         opposite = find_saddles(grey, ordered, windows, -signs).exist.sum()
-        rightwards = windows_at(board, planar_map, board.centre[None, :2])[0, 0, 0]
-        score = (bool(agreeing > opposite), float(rightwards))
+        is_black_first = bool(agreeing > opposite)
+        rightwards = float(windows_at(board, planar_map, board.centre[None, :2])[0, 0, 0])
+        score = (is_black_first, rightwards)
         if best is None or score > best[0]:
-            best = (score, planar_map, ordered)
-    return None if best is None else best[1:]
+            is_white_first = board.looks_same_turned and bool(opposite > agreeing)
+            best = (score, Chessboard(planar_map, ordered, is_white_first))
+    return None if best is None else best[1]
 
 
 def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool:

@@ -125,9 +125,13 @@ def search_board(
         chessboard = find_chessboard(image, board)
         if chessboard is None:
             return _empty(board, NO_BOARD)
-        planar_map, pixels = chessboard
         saddles, planar_map = find_inner_corners(
-            grey, board, planar_map, board.corners[:, :2], pixels
+            grey,
+            board,
+            chessboard.map,
+            board.corners[:, :2],
+            chessboard.pixels,
+            is_white_first=chessboard.is_white_first,
         )
         if is_part_of_larger(grey, board, planar_map):
             return _empty(board, LAYOUT)

@@ -53,7 +53,8 @@ def find_images(
 
     Args:
         words: Files, folders (all pictures in them), and patterns such as ``run/*.png``; ``**`` descends into folders.
-        cameras: Names of cameras by the folders with their pictures, "" for all other pictures. None: not stated.
+        cameras: Names of cameras by the folders with their pictures, or by patterns of the pictures' names (``cam1_*``,
+            with or without folders in front), "" for all other pictures. None: not stated.
 
     Returns:
         The pictures, each once, in the order of the words; those of a folder or pattern sorted, numbers by value.
@@ -66,19 +67,24 @@ def find_images(
         for path in _named_by(word):
             paths.setdefault(os.path.realpath(path), path)
     unique = list(paths.values())
-    folders = {os.path.realpath(folder): name for folder, name in (cameras or {}).items() if folder}
-    of_others = (cameras or {}).get("", "")
+    stated = cameras or {}
+    patterns = [word for word in stated if _PATTERN.search(word) and not Path(word).is_dir()]
+    folders = {
+        os.path.realpath(word): stated[word] for word in stated if word not in (*patterns, "")
+    }
+    of_others = stated.get("", "")
     images = []
     for path, name in zip(unique, _names(unique), strict=True):
-        # The innermost of the folders that the picture is in.
+        # A pattern that its name fits, otherwise the innermost of the folders that the picture is in.
+        named = [stated[pattern] for pattern in patterns if path.match(pattern)]
         around = [str(folder) for folder in Path(os.path.realpath(path)).parents]
-        named = [folders[folder] for folder in around if folder in folders]
+        named += [folders[folder] for folder in around if folder in folders]
         images.append(ImageFile(path, name, named[0] if named else of_others))
-    without = set((cameras or {}).values()) - {image.camera for image in images}
+    without = set(stated.values()) - {image.camera for image in images}
     if without:
         raise FileError(
             f"There is no picture of the camera {choices(sorted(without))}; name its folder, one of those with the "
-            'pictures: --camera-name "NAME=FOLDER".'
+            'pictures, or a pattern of their names: --camera-name "NAME=FOLDER", --camera-name "NAME=cam1_*".'
         )
     return tuple(images)
 

@@ -41,8 +41,8 @@ _LEGACY_LAYOUT = (
 )
 
 _AMBIGUOUS = (
-    "Note: with columns and rows both even, or both odd, this chessboard looks the same after half a turn, so its "
-    "corners may be numbered from either end. Use one column more or less."
+    "Note: with columns and rows both even, or both odd, this chessboard looks the same after half a turn, so only "
+    "the robot's poses show which end is the first. Use one column more or less."
 )
 
 _FITTED_TO_PAGE = (

@@ -55,8 +55,9 @@ _FINDINGS = {
     "unexplained": "{Board}the markers are not where the description has them, and neither swapped columns and rows "
     "nor another layout, size or ratio of marker and square explains it. Is it a flat print of this board?",
     "ambiguous": "{Board}a chessboard whose columns and rows add up to an even number ({columns} + {rows}) looks the "
-    "same after half a turn. Its x axis is assumed to point to the right in each picture, which is the same pose of "
-    "the board in all of them only if the camera never rolls by 90 deg. Use one column less, or a ChArUco board.",
+    "same after half a turn, and a picture does not show which end is the first. In each picture the x axis is taken to "
+    "point right; calib calibrate decides by the robot which end it is. A board with one column less, or a "
+    "ChArUco board, shows it.",
     "more_markers": "{Board}the print has more rows than the {old_rows} described. Correct the description, so that "
     "the other corners are used too.",
     "unseen_row": "{Board}no picture shows a marker of the last row described: does the print have {old_rows} rows?",

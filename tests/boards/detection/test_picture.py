@@ -72,6 +72,18 @@ def test_cameras_by_folder():
         find_images(["right"], {"left": "wide"})
 
 
+@pytest.mark.usefixtures("run")
+def test_cameras_by_patterns_of_names():
+    by_number = {"pose_1*": "wide", "left/*_2.*": "tele"}
+    images = find_images(["left", "right"], by_number)
+    assert [image.camera for image in images] == ["tele", "wide", ""]
+    # A pattern counts before a folder.
+    images = find_images(["left"], {"left": "tele", "*_10.png": "wide"})
+    assert [image.camera for image in images] == ["tele", "wide"]
+    with pytest.raises(FileError, match="camera 'none'"):
+        find_images(["left"], {"cam*": "none"})
+
+
 def test_grey_values_as_the_file_has_them(tmp_path: Path):
     picture = np.arange(60, dtype=np.uint8).reshape(6, 10)
     path = tmp_path / "ä picture.png"
