@@ -159,6 +159,16 @@ def _smallest_squares(board: Board, planar_map: PlanarMap, corners: Array) -> Ar
 #: Fewest columns and rows of squares that OpenCV finds.
 _FEWEST = 4
 
+#: Longest side of a picture that OpenCV's slower detector is given [px].
+_LARGEST = 1600
+
+#: Largest number of corners with the colours of one order of a chessboard, as a share of those with the opposite ones:
+#: if columns are skipped, there are two fifths or more of either.
+_MOST_OPPOSITE = 0.2
+
+#: Sizes of which OpenCV seeks a chessboard or a larger one, of whatever size [corners]; the first mostly finds it.
+_SEEDS = ((4, 4), (3, 3))
+
 #: Largest share of the points of an outer edge that are corners of squares, if the board ends there.
 _MOST_ON_EDGE = 0.5
 
@@ -183,7 +193,8 @@ def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN
         board: A chessboard.
 
     Returns:
-        The chessboard; None if not all corners are seen.
+        The chessboard; None if not all corners are seen, or what OpenCV takes for them are not: of a board with more
+        squares it sometimes takes every other corner.
 
     Raises:
         CalibError: The board has fewer columns or rows than OpenCV finds.
@@ -195,17 +206,23 @@ def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN
         )
     cv2 = opencv()
     size = (board.columns - 1, board.rows - 1)
+    factor = 1
     is_seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not is_seen:
+        # The other detector takes minutes for a large picture that is soft.
+        factor = max(1, -(-max(image.shape) // _LARGEST))
+        shape = (image.shape[1] // factor, image.shape[0] // factor)
+        small = cv2.resize(image, shape, interpolation=cv2.INTER_AREA)
         flags = (
             cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
         )
-        is_seen, corners = cv2.findChessboardCorners(image, size, flags=flags)
+        is_seen, corners = cv2.findChessboardCorners(small, size, flags=flags)
     if not is_seen:
         return None
 
     # The orders in which the corners may be: turned, not mirrored.
     grid = np.asarray(corners, dtype=np.float64).reshape(board.rows - 1, board.columns - 1, 2)
+    grid = (grid + 0.5) * factor - 0.5
     along_x = grid[0, -1] - grid[0, 0]
     along_y = grid[-1, 0] - grid[0, 0]
     if along_x[0] * along_y[1] - along_x[1] * along_y[0] < 0.0:
@@ -221,6 +238,8 @@ def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN
         windows = windows_at(board, planar_map, board.corners[:, :2])
         agreeing = find_saddles(grey, ordered, windows, signs).exist.sum()
         opposite = find_saddles(grey, ordered, windows, -signs).exist.sum()
+        if min(agreeing, opposite) > _MOST_OPPOSITE * max(agreeing, opposite):
+            continue
         is_black_first = bool(agreeing > opposite)
         rightwards = float(windows_at(board, planar_map, board.centre[None, :2])[0, 0, 0])
         score = (is_black_first, rightwards)
@@ -258,9 +277,11 @@ def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool
 def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8-bit
     """Return how many squares the chessboard that an image shows has along its sides, the larger first; None: none."""
     cv2 = opencv()
-    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-    is_seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
-    if not is_seen or meta is None:
-        return None
-    larger, smaller = sorted(np.asarray(meta).shape[:2], reverse=True)
-    return larger + 1, smaller + 1
+    usual = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    for flags in (usual, usual | cv2.CALIB_CB_EXHAUSTIVE):
+        for seed in _SEEDS:
+            is_seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, seed, flags)
+            if is_seen and meta is not None:
+                larger, smaller = sorted(np.asarray(meta).shape[:2], reverse=True)
+                return larger + 1, smaller + 1
+    return None

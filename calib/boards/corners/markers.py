@@ -76,6 +76,7 @@ def find_markers(
     dictionary: str,
     *,
     thorough: bool = False,
+    enlarged: int = 1,
 ) -> Markers:
     """Find the markers of a dictionary in an image.
 
@@ -83,6 +84,7 @@ def find_markers(
         image: Grey values, 8 bits, shape (height, width).
         dictionary: Name of the dictionary.
         thorough: True to search three times as long, which finds some more markers that are blurred or badly lit.
+        enlarged: Factor by which the image is enlarged first, which finds smaller markers.
 
     Returns:
         The markers, with OpenCV's corners: to about half a pixel.
@@ -108,10 +110,14 @@ def find_markers(
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
     detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(number), parameters)
+    if enlarged > 1:
+        size = (enlarged * image.shape[1], enlarged * image.shape[0])
+        image = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
     corners, ids, _ = detector.detectMarkers(image)
     if ids is None or len(ids) == 0:
         return no_markers()
     quadrilaterals = np.array(corners, dtype=np.float64).reshape(-1, 4, 2)
+    quadrilaterals = (quadrilaterals + 0.5) / enlarged - 0.5
     return _without_doubles(Markers(np.asarray(ids, dtype=int).reshape(-1), quadrilaterals))
 
 

@@ -25,6 +25,7 @@ from calib.boards.detection.board_search import (
     TWO_BOARDS,
     BoardView,
 )
+from calib.boards.detection.copies import as_it_is
 from calib.boards.detection.picture import OTHER_SIZE, ImageFile, Picture, read_image
 from calib.boards.dictionaries import KINDS, kind_of, smallest_dictionary
 from calib.errors import CalibError
@@ -37,6 +38,9 @@ LEGACY = "legacy"
 
 #: Another number of columns or rows.
 SIZE = "size"
+
+#: A chessboard is described by the numbers of its inner corners, not of its squares.
+INNER_CORNERS = "inner_corners"
 
 #: Markers of another size in the same squares.
 RATIO = "ratio"
@@ -63,7 +67,16 @@ UNSEEN_ROW = "unseen_row"
 SAME_PICTURE = "same_picture"
 
 #: Findings that the description is wrong, so that no corner of the board can be trusted.
-WRONG_DESCRIPTION = (SWAPPED, LEGACY, SIZE, RATIO, FIRST_MARKER, DICTIONARY, UNEXPLAINED)
+WRONG_DESCRIPTION = (
+    SWAPPED,
+    LEGACY,
+    SIZE,
+    INNER_CORNERS,
+    RATIO,
+    FIRST_MARKER,
+    DICTIONARY,
+    UNEXPLAINED,
+)
 
 #: Largest relative error of the markers' size; with a larger one it is another print.
 _RATIO_TOLERANCE = 0.05
@@ -74,8 +87,8 @@ _FEWEST_PICTURES = 3
 #: Fewest markers with further ids in a picture for a board with more rows than described.
 _FEWEST_MORE = 2
 
-#: Number of pictures in which another pattern is sought.
-_MOST_SEARCHED = 2
+#: Number of pictures in which another pattern is sought; a chessboard of another size needs a majority of them.
+_MOST_SEARCHED = 5
 
 #: Fewest different markers of another dictionary that are not an accident.
 _FEWEST_MARKERS = 4
@@ -85,7 +98,7 @@ _FEWEST_MARKERS = 4
 class Finding(Value):
     """Something to correct, or to know."""
 
-    #: One of the codes of this module, or of `board_search` beside it.
+    #: One of the codes of this module, or of `board_search` and `copies` beside it.
     code: str
     #: The board's name; "" if it is not about one.
     board: str = ""
@@ -130,10 +143,16 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
         pictures: The pictures that could be read, with the markers of the board's dictionary.
     """
     by_reason: dict[str, list[Picture]] = defaultdict(list)
+    by_copy: dict[str, list[Picture]] = defaultdict(list)
     for picture in pictures:
-        by_reason[_view(picture, board).reason].append(picture)
+        view = _view(picture, board)
+        by_reason[view.reason].append(picture)
+        if view.is_used and view.copy:
+            by_copy[view.copy].append(picture)
+    for code, of_copy in by_copy.items():
+        yield Finding(code=code, board=board.name, pictures=_names(of_copy))
     if board.pattern == CHESSBOARD:
-        if board.looks_same_turned:
+        if board.looks_same_turned and by_reason[""]:
             yield Finding(code=AMBIGUOUS, board=board.name)
         return
     for code in (MIRRORED, TWO_BOARDS):
@@ -210,9 +229,13 @@ def other_pattern(
         described = (max(board.columns, board.rows), min(board.columns, board.rows))
         if not sizes or sizes.most_common(1)[0][0] == described:
             return []
-        larger, smaller = sizes.most_common(1)[0][0]
-        better = replace(board, columns=larger, rows=smaller)
-        return [Finding(code=SIZE, board=board.name, pictures=_names(without), better=better)]
+        columns, rows = sizes.most_common(1)[0][0]
+        if board.columns < board.rows:
+            columns, rows = rows, columns
+        better = replace(board, columns=columns, rows=rows)
+        is_by_corners = (board.columns, board.rows) == (columns - 1, rows - 1)
+        code = INNER_CORNERS if is_by_corners else SIZE
+        return [Finding(code=code, board=board.name, pictures=_names(without), better=better)]
 
     ids: dict[tuple[str, ...], set[int]] = defaultdict(set)
     for _, of_file in jobs.run(_ids_in, None, files, executor):
@@ -230,12 +253,12 @@ def other_pattern(
 
 def _chessboard_in(_: None, file: ImageFile) -> tuple[int, int] | None:
     """Return columns and rows of whatever chessboard a picture shows, the larger number first; None without one."""
-    return size_of_chessboard(read_image(file))
+    return size_of_chessboard(as_it_is(read_image(file)).image)
 
 
 def _ids_in(_: None, file: ImageFile) -> dict[tuple[str, ...], set[int]]:
     """Return the ids of the markers in a picture by the kinds of dictionary, of `KINDS`, in which they were sought."""
-    image = read_image(file)
+    image = as_it_is(read_image(file)).image
     return {kind: set(find_markers(image, kind[-1]).ids.tolist()) for kind in KINDS}
 
 

@@ -35,6 +35,12 @@ NO_BOARD = "no_board"
 #: The board is found only in a smaller copy of the image, or the image is blurred.
 BLURRED = "blurred"
 
+#: There is hardly any contrast in the picture: no light, or a cap on the lens.
+FLAT = "flat"
+
+#: Most of the picture is as bright as can be.
+OVEREXPOSED = "overexposed"
+
 #: The board is found only in the mirrored image.
 MIRRORED = "mirrored"
 
@@ -55,6 +61,13 @@ _SECOND_BOARD = 3
 
 #: Factors by which the copies are smaller in which a blurred board is sought.
 _SMALLER = (2, 4)
+
+#: Smallest difference between the darkest and the brightest pixels, one in a thousand each, in which there may be a
+#: board [grey values]: that of a corner, see `saddles`.
+_LEAST_CONTRAST = 8.0
+
+#: Share of the pixels at the highest grey value above which a picture is overexposed.
+_OVEREXPOSED = 0.5
 
 #: Blur above which a picture without a board is called blurred [px].
 _BLURRED = 3.0
@@ -87,6 +100,8 @@ class BoardView(Value):
     rms: float = np.nan
     #: Number of markers that are not where the others and the description have them.
     misread: int = 0
+    #: The copy of the picture that shows it, one of the codes of `copies`; "" for the picture as it is.
+    copy: str = ""
     #: Why the corners are not used, one of the codes above; "" if they are used.
     reason: str = ""
 
@@ -106,6 +121,8 @@ def search_board(
     board: Board,
     markers: Markers,
     fewest: int = FEWEST_CORNERS,
+    *,
+    grey: Array | None = None,
 ) -> BoardView:
     """Search an image for the corners of a board.
 
@@ -114,11 +131,13 @@ def search_board(
         board: The board.
         markers: All markers of its dictionary that the image shows; none for a chessboard.
         fewest: Fewest corners with which the image is used.
+        grey: The same grey values before they were rounded to 8 bits, shape (height, width); None: those of the image.
 
     Returns:
         The corners, and the reason if they are not used.
     """
-    grey = np.asarray(image, dtype=np.float64)
+    if grey is None:
+        grey = np.asarray(image, dtype=np.float64)
     image_size = (image.shape[1], image.shape[0])
     misread = 0
     if board.pattern == CHESSBOARD:
@@ -186,12 +205,17 @@ def search_board(
 
 
 def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
-    """Return why a board is not found in an image: `MIRRORED`, `BLURRED` or `NO_BOARD`.
+    """Return why a board is not found in an image: `MIRRORED`, `FLAT`, `OVEREXPOSED`, `BLURRED` or `NO_BOARD`.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).
         board: The board.
     """
+    if np.mean(image == np.iinfo(image.dtype).max) > _OVEREXPOSED:
+        return OVEREXPOSED
+    darkest, brightest = np.quantile(image, [1e-3, 1.0 - 1e-3])
+    if brightest - darkest < _LEAST_CONTRAST:
+        return FLAT
     if board.pattern != CHESSBOARD and _is_in(np.ascontiguousarray(image[:, ::-1]), board):
         return MIRRORED
     cv2 = opencv()

@@ -18,7 +18,14 @@ from calib.basics.files import read_bytes
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import CHESSBOARD, Board
 from calib.boards.corners.markers import Markers, find_markers, no_markers
-from calib.boards.detection.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board
+from calib.boards.detection.board_search import (
+    FEW_CORNERS,
+    NO_BOARD,
+    BoardView,
+    reason_of_nothing,
+    search_board,
+)
+from calib.boards.detection.copies import Copy, as_it_is, further_copies
 from calib.boards.opencv import opencv
 from calib.errors import FileError, choices
 
@@ -89,15 +96,15 @@ def find_images(
     return tuple(images)
 
 
-def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is not
+def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8 or 16 bits, which Array is not
     """Read a picture.
 
     Args:
         image: The file.
 
     Returns:
-        Grey values, 8 bits, shape (height, width), as stored: an orientation tag is ignored, since a camera's
-        intrinsics refer to its sensor. None if the file is not a picture.
+        Grey values as stored, 8 or 16 bits, or real numbers, shape (height, width): an orientation tag is ignored, since
+        a camera's intrinsics refer to its sensor. None if the file is not a picture.
 
     Raises:
         FileError: The file cannot be read.
@@ -106,7 +113,8 @@ def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is 
     data = np.frombuffer(read_bytes(image.path, "The picture"), dtype=np.uint8)
     if not len(data):
         return None
-    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    return cv2.imdecode(data, flags)
 
 
 def _named_by(word: str | Path) -> list[Path]:
@@ -172,6 +180,9 @@ OTHER_SIZE = "other_size"
 #: No row of joint values belongs to it.
 NO_ROW = "no_row"
 
+#: Reasons that another copy of the picture may take away.
+_MAY_BE_BETTER = (NO_BOARD, FEW_CORNERS)
+
 #: Longer side of a small copy [px].
 _SMALL = 480
 
@@ -233,18 +244,27 @@ def search_picture(search: Search, file: ImageFile) -> Picture:
         image = None
     if image is None:
         return Picture(file=file, reason=UNREADABLE)
-    markers, views = _search(search, image, thorough=False)
-    if not all(view.is_used and view.is_complete for view in views):
-        markers, views = _search(search, image, thorough=True)
+    copy = as_it_is(image)
+    markers, views = _search(search, copy, thorough=False)
+    has_markers = any(board.dictionary for board in search.boards)
+    if has_markers and not all(view.is_used and view.is_complete for view in views):
+        markers, views = _search(search, copy, thorough=True)
+    is_seen = any(view.is_used for view in views)
+    for other in further_copies(copy, is_seen=is_seen, has_markers=has_markers):
+        if not any(view.reason in _MAY_BE_BETTER or not view.is_complete for view in views):
+            break
+        further, found = _search(search, other, thorough=True)
+        if _corner_count(found) > _corner_count(views):
+            markers, views = further, found
     if all(view.reason == NO_BOARD for view in views):
         views = [
-            replace(view, reason=reason_of_nothing(image, board))
+            replace(view, reason=reason_of_nothing(copy.image, board))
             for view, board in zip(views, search.boards, strict=True)
         ]
     scale = min(1.0, _SMALL / max(image.shape))
     size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
-    copy = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, small = cv2.imencode(".jpg", copy, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    shown = cv2.resize(copy.image, size, interpolation=cv2.INTER_AREA)
+    _, small = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return Picture(
         file=file,
         size=(image.shape[1], image.shape[0]),
@@ -255,17 +275,34 @@ def search_picture(search: Search, file: ImageFile) -> Picture:
     )
 
 
+def _corner_count(views: Sequence[BoardView]) -> int:
+    """Return the number of corners that are used of all boards in a picture."""
+    return sum(len(view.ids) for view in views if view.is_used)
+
+
 def _search(
-    search: Search,
-    image: Any,  # noqa: ANN401  8-bit
-    *,
-    thorough: bool,
+    search: Search, copy: Copy, *, thorough: bool
 ) -> tuple[dict[str, Markers], list[BoardView]]:
-    """Return the markers in a picture by the name of their dictionary, and what it shows of each board."""
+    """Return the markers in a copy by the name of their dictionary, and what it shows of each board [px of picture]."""
     dictionaries = sorted({board.dictionary for board in search.boards if board.dictionary})
-    markers = {name: find_markers(image, name, thorough=thorough) for name in dictionaries}
+    markers = {
+        name: find_markers(copy.image, name, thorough=thorough, enlarged=copy.enlarged)
+        for name in dictionaries
+    }
     views = []
     for board in search.boards:
         of_board = no_markers() if board.pattern == CHESSBOARD else markers[board.dictionary]
-        views.append(search_board(image, board, of_board, search.fewest))
-    return markers, views
+        view = search_board(copy.image, board, of_board, search.fewest, grey=copy.grey)
+        views.append(
+            replace(
+                view,
+                pixels=copy.in_picture(view.pixels),
+                sigma=copy.factor * view.sigma,
+                rms=copy.factor * view.rms,
+                copy=copy.code,
+            )
+        )
+    in_picture = {
+        name: Markers(found.ids, copy.in_picture(found.corners)) for name, found in markers.items()
+    }
+    return in_picture, views

@@ -90,8 +90,9 @@ def test_grey_values_as_the_file_has_them(tmp_path: Path):
     path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     np.testing.assert_array_equal(read_image(ImageFile(path, path.name)), picture)
     deep = tmp_path / "deep.png"
-    deep.write_bytes(cv2.imencode(".png", picture.astype(np.uint16) * 257)[1].tobytes())
-    np.testing.assert_array_equal(read_image(ImageFile(deep, deep.name)), picture)
+    of_16_bits = picture.astype(np.uint16) * 257
+    deep.write_bytes(cv2.imencode(".png", of_16_bits)[1].tobytes())
+    np.testing.assert_array_equal(read_image(ImageFile(deep, deep.name)), of_16_bits)
 
 
 def test_no_picture_is_none(tmp_path: Path):
