@@ -84,7 +84,7 @@ def test_the_dictionary_grows_with_the_board():
         ({"columns": 0}, "a4", "1 or more columns and rows, not 0"),
         ({"rows": -2, "square": 0.03}, "a4", "1 or more columns and rows, not -2"),
         ({"first_marker": -1}, "a4", "the first with the id -1"),
-        ({"pattern": CHESSBOARD, "marker": 0.01}, "a4", "no markers"),
+        ({"pattern": CHESSBOARD, "marker": 0.01}, "a4", "has no marker"),
         ({"columns": 100, "rows": 100}, "a4", "5000 markers"),
         ({"pattern": CHESSBOARD, "columns": 100, "rows": 100}, "a4", "do not fit"),
         ({"marker": 0.03}, "a4", "more than the marker's 30 mm"),

@@ -21,7 +21,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
-from calib.boards.board import CHARUCO, Board, corner_signs
+from calib.boards.board import APRILGRID, CHARUCO, Board, cells_across, corner_signs
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
 from calib.boards.corners.saddles import Saddles, find_saddles
 from calib.boards.opencv import opencv
@@ -33,6 +33,10 @@ _WINDOW = 0.14
 
 #: Width of the window around a corner of a ChArUco board, in widths of the white around a marker.
 _WINDOW_IN_MARGINS = 0.7
+
+#: Width of the window around a corner of an aprilgrid, in widths of a tag's border or of a small square, whichever is
+#: narrower: the window then reaches to where these end.
+_WINDOW_IN_BORDERS = 0.3
 
 #: Smallest width of a window, if there is hardly any white, in squares.
 _SMALLEST_WINDOW = 0.04
@@ -139,7 +143,12 @@ def window_size(board: Board) -> float:
     """Return the width of the window around a corner on the board [m].
 
     On a ChArUco board it is narrow enough to keep clear of the markers, unless there is hardly any white around them.
+    On an aprilgrid it is narrow enough for the small squares, and for the border of the tags.
     """
+    if board.pattern == APRILGRID:
+        bits = cells_across(board)
+        narrowest = min(board.square - board.marker, board.border * board.marker / bits)
+        return _WINDOW_IN_BORDERS * narrowest
     largest = _WINDOW * board.square
     if board.pattern != CHARUCO:
         return largest

@@ -13,9 +13,8 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
-from calib.boards.dictionaries import DICTIONARIES
+from calib.boards.dictionaries import opencv_dictionary
 from calib.boards.opencv import opencv
-from calib.errors import CalibError
 
 #: Widest window of the adaptive threshold [px]: large markers and blurred edges need more than the default of 23.
 _WIDEST_THRESHOLD = 43
@@ -77,6 +76,7 @@ def find_markers(
     *,
     thorough: bool = False,
     enlarged: int = 1,
+    border: int = 1,
 ) -> Markers:
     """Find the markers of a dictionary in an image.
 
@@ -85,6 +85,7 @@ def find_markers(
         dictionary: Name of the dictionary.
         thorough: True to search three times as long, which finds some more markers that are blurred or badly lit.
         enlarged: Factor by which the image is enlarged first, which finds smaller markers.
+        border: Width of the black border of the markers [bits].
 
     Returns:
         The markers, with OpenCV's corners: to about half a pixel.
@@ -94,12 +95,6 @@ def find_markers(
     """
     cv2 = opencv()
     aruco = cv2.aruco
-    number = getattr(aruco, dictionary, None) if dictionary in DICTIONARIES else None
-    if number is None:
-        raise CalibError(
-            f"OpenCV {cv2.__version__} has no dictionary of markers '{dictionary}'; a newer one may: pip install "
-            "--upgrade opencv-python-headless"
-        )
     parameters = aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMax = _WIDEST_THRESHOLD
     parameters.adaptiveThreshWinSizeStep = _THOROUGH_STEP if thorough else _THRESHOLD_STEP
@@ -108,8 +103,9 @@ def find_markers(
     parameters.minDistanceToBorder = 1
     parameters.minMarkerDistanceRate = 0.02
     parameters.perspectiveRemovePixelPerCell = 8
+    parameters.markerBorderBits = border
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(number), parameters)
+    detector = aruco.ArucoDetector(opencv_dictionary(dictionary), parameters)
     if enlarged > 1:
         size = (enlarged * image.shape[1], enlarged * image.shape[0])
         image = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
@@ -147,6 +143,9 @@ _FINE = 0.15
 #: Tolerance with which they agree with the homography of the neighbouring markers, in sides of the marker.
 _BESIDE = 0.3
 
+#: Distance of a marker's middle from where it is predicted at which it is the same marker, in sides of the marker.
+_INSIDE = 0.5
+
 #: Number of neighbours that predict where a marker is.
 _NEIGHBOURS = 4
 
@@ -169,31 +168,41 @@ class Placement(Value):
     map: PlanarMap
     #: The markers that agree, shape (m,).
     agrees: Mask
+    #: Number of the others that are where the board has them, though their outlines are not.
+    ill_outlined: int = 0
+    #: Fewest markers that place the board.
+    fewest: int = FEWEST_MARKERS
 
     @property
     def is_sound(self) -> bool:
-        """True if two markers or more agree with the place, and few enough do not."""
+        """True if two markers or more agree with the place, or the only one, and few enough do not."""
         allowed = max(1.0, _MISREAD_SHARE * len(self.agrees))
-        return int(self.agrees.sum()) >= FEWEST_MARKERS and self.misread <= allowed
+        return int(self.agrees.sum()) >= self.fewest and self.misread <= allowed
 
     @property
     def misread(self) -> int:
-        """Number of the markers that do not agree."""
-        return int((~self.agrees).sum())
+        """Number of the markers that are not where the board has them."""
+        return int((~self.agrees).sum()) - self.ill_outlined
 
 
-def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) -> Placement | None:
+def place_board(
+    markers: Markers, layout: Array, image_size: tuple[int, int], *, are_touched: bool = False
+) -> Placement | None:
     """Fit a map from a board to an image by the markers found, leaving out those that were misread.
 
     Args:
         markers: The markers of the board that were found, with ids counted from 0.
         layout: Corners of all markers of the board, shape (markers, 4, 2) [m].
         image_size: Width and height [px].
+        are_touched: True if other black squares touch the corners of the markers, so that an outline may include a part
+            of them and the id is right all the same.
 
     Returns:
-        The placement on which most markers agree, sound or not; None for fewer than two markers, or no agreement.
+        The placement on which most markers agree, sound or not; None for fewer than two markers, unless the board has
+        one only, or for no agreement.
     """
-    if len(markers.ids) < FEWEST_MARKERS:
+    fewest = min(FEWEST_MARKERS, len(layout))
+    if len(markers.ids) < fewest:
         return None
     points = layout[markers.ids]
 
@@ -206,7 +215,7 @@ def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) ->
     if used is None:
         return None
     agrees = np.asarray(used.reshape(-1, 4).astype(bool).all(axis=1))
-    if agrees.sum() < FEWEST_MARKERS:
+    if agrees.sum() < fewest:
         return None
 
     # The map that includes the lens, refitted to the markers whose corners are where it predicts them.
@@ -216,11 +225,17 @@ def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) ->
         )
         before = agrees
         agrees = _agree_with_map(planar_map, points, markers)
-        if agrees.sum() < FEWEST_MARKERS:
+        if agrees.sum() < fewest:
             return None
         if (agrees == before).all():
             break
-    return Placement(planar_map, agrees | _agree_with_neighbours(points, markers, agrees))
+    agrees = agrees | _agree_with_neighbours(points, markers, agrees)
+    ill_outlined = 0
+    if are_touched:
+        middles = planar_map.project(points.mean(axis=1))
+        away = np.linalg.norm(markers.corners.mean(axis=1) - middles, axis=1)
+        ill_outlined = int(np.sum(~agrees & (away < _INSIDE * markers.sides)))
+    return Placement(planar_map, agrees, ill_outlined, fewest)
 
 
 def _agree_with_map(planar_map: PlanarMap, points: Array, markers: Markers) -> Mask:

@@ -18,6 +18,7 @@ from calib.boards.corners.chessboards import size_of_chessboard
 from calib.boards.corners.markers import Markers, find_markers, place_board
 from calib.boards.corners.planar_map import fit_planar_map
 from calib.boards.detection.board_search import (
+    BLURRED,
     FEW_CORNERS,
     LAYOUT,
     MIRRORED,
@@ -151,9 +152,9 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
             by_copy[view.copy].append(picture)
     for code, of_copy in by_copy.items():
         yield Finding(code=code, board=board.name, pictures=_names(of_copy))
-    if board.pattern == CHESSBOARD:
-        if board.looks_same_turned and by_reason[""]:
-            yield Finding(code=AMBIGUOUS, board=board.name)
+    if board.looks_same_turned and by_reason[""]:
+        yield Finding(code=AMBIGUOUS, board=board.name)
+    if not board.markers:
         return
     for code in (MIRRORED, TWO_BOARDS):
         if by_reason[code]:
@@ -182,7 +183,7 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
     larger = []
     seen_ids: set[int] = set()
     for picture in placed:
-        ids = picture.markers[board.dictionary].ids
+        ids = picture.markers[board.marker_kind].ids
         seen_ids |= set(ids.tolist())
         further = (ids >= last) & (ids < last + board.columns)
         if further.sum() >= _FEWEST_MORE:
@@ -215,7 +216,8 @@ def other_pattern(
         The finding of another dictionary, or of a chessboard of another size; none if neither is seen.
     """
     # A chessboard with more columns or rows is another one.
-    reasons = (NO_BOARD, LAYOUT) if board.pattern == CHESSBOARD else (NO_BOARD,)
+    is_chessboard = board.pattern == CHESSBOARD
+    reasons = (NO_BOARD, LAYOUT, BLURRED, FEW_CORNERS) if is_chessboard else (NO_BOARD,)
     without = [picture for picture in pictures if _view(picture, board).reason in reasons]
     if not without or len(without) < len(pictures) / 2:
         return []
@@ -237,6 +239,8 @@ def other_pattern(
         code = INNER_CORNERS if is_by_corners else SIZE
         return [Finding(code=code, board=board.name, pictures=_names(without), better=better)]
 
+    if not board.markers:
+        return []
     ids: dict[tuple[str, ...], set[int]] = defaultdict(set)
     for _, of_file in jobs.run(_ids_in, None, files, executor):
         for kind, seen in of_file.items():
@@ -293,7 +297,7 @@ def _view(picture: Picture, board: Board) -> BoardView:
 
 def _seen(board: Board, pictures: Sequence[Picture]) -> list[Seen]:
     """Return the markers of a board's dictionary in pictures, with the sizes of the pictures."""
-    return [(picture.markers[board.dictionary], picture.size) for picture in pictures]
+    return [(picture.markers[board.marker_kind], picture.size) for picture in pictures]
 
 
 def _is_as_described(board: Board, ratio: float) -> bool:

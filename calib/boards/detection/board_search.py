@@ -9,13 +9,14 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.boards.board import APRILTAG, CHESSBOARD, Board, marker_outlines
+from calib.boards.board import APRILGRID, APRILTAG, CHESSBOARD, ROUND, Board, marker_outlines
 from calib.boards.corners.chessboards import (
     find_chessboard,
     find_inner_corners,
     is_part_of_larger,
     visible_corners,
 )
+from calib.boards.corners.circles import find_circles, refine_circles
 from calib.boards.corners.markers import (
     FEWEST_MARKERS,
     Markers,
@@ -154,12 +155,18 @@ def search_board(
         )
         if is_part_of_larger(grey, board, planar_map):
             return _empty(board, LAYOUT)
+    elif board.pattern in ROUND:
+        circles = find_circles(image, board)
+        if circles is None:
+            return _empty(board, NO_BOARD)
+        saddles, planar_map = refine_circles(grey, board, circles)
     else:
         markers = markers.of_ids(board.first_marker, board.markers)
         layout = marker_outlines(board)
-        placement = place_board(markers, layout, image_size)
-        if len(markers.ids) < FEWEST_MARKERS:
+        if len(markers.ids) < min(FEWEST_MARKERS, board.markers):
             return _empty(board, NO_BOARD)
+        are_touched = board.pattern == APRILGRID
+        placement = place_board(markers, layout, image_size, are_touched=are_touched)
         if placement is not None:
             # Markers that do not agree on the board, but have ids of it, may make a second one.
             others = markers.select(~placement.agrees)
@@ -190,7 +197,7 @@ def search_board(
     predicted = planar_map.project(board.corners[exist, :2])
     square = np.sum((saddles.pixels[exist] - predicted) ** 2, axis=1)
     reason = ""
-    if exist.sum() < fewest:
+    if exist.sum() < min(fewest, len(board.corners)):
         reason = CUT if visible < len(board.corners) else FEW_CORNERS
     return BoardView(
         board=board.name,
@@ -216,7 +223,7 @@ def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
     darkest, brightest = np.quantile(image, [1e-3, 1.0 - 1e-3])
     if brightest - darkest < _LEAST_CONTRAST:
         return FLAT
-    if board.pattern != CHESSBOARD and _is_in(np.ascontiguousarray(image[:, ::-1]), board):
+    if board.markers and _is_in(np.ascontiguousarray(image[:, ::-1]), board):
         return MIRRORED
     cv2 = opencv()
     for factor in _SMALLER:
@@ -258,8 +265,16 @@ def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
     """Return True if a board is found in an image, grey values (h, w), roughly: whether it is there, not where."""
     if board.pattern == CHESSBOARD:
         return find_chessboard(image, board) is not None
-    markers = find_markers(image, board.dictionary).of_ids(board.first_marker, board.markers)
-    placement = place_board(markers, marker_outlines(board), (image.shape[1], image.shape[0]))
+    if board.pattern in ROUND:
+        return find_circles(image, board) is not None
+    markers = find_markers(image, board.dictionary, border=board.border)
+    markers = markers.of_ids(board.first_marker, board.markers)
+    placement = place_board(
+        markers,
+        marker_outlines(board),
+        (image.shape[1], image.shape[0]),
+        are_touched=board.pattern == APRILGRID,
+    )
     return placement is not None and placement.is_sound
 
 

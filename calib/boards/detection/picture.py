@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.basics.files import read_bytes
 from calib.basics.values import ReadOnlyMapping, Value
-from calib.boards.board import CHESSBOARD, Board
+from calib.boards.board import Board
 from calib.boards.corners.markers import Markers, find_markers, no_markers
 from calib.boards.detection.board_search import (
     FEW_CORNERS,
@@ -103,8 +103,8 @@ def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8 or 16 bits, which Ar
         image: The file.
 
     Returns:
-        Grey values as stored, 8 or 16 bits, or real numbers, shape (height, width): an orientation tag is ignored, since
-        a camera's intrinsics refer to its sensor. None if the file is not a picture.
+        Grey values as stored, 8 or 16 bits, or real numbers, shape (height, width): an orientation tag is ignored,
+        since a camera's intrinsics refer to its sensor. None if the file is not a picture.
 
     Raises:
         FileError: The file cannot be read.
@@ -212,7 +212,7 @@ class Picture(Value):
     views: tuple[BoardView, ...] = ()
     #: Why nothing of it is used; "" if something is, or if the reasons of the views say it.
     reason: str = ""
-    #: The markers in it by the name of their dictionary.
+    #: The markers in it by their `Board.marker_kind`.
     markers: ReadOnlyMapping[str, Markers] = field(default_factory=ReadOnlyMapping)
     #: Hash of its grey values.
     sha256: str = ""
@@ -245,22 +245,7 @@ def search_picture(search: Search, file: ImageFile) -> Picture:
     if image is None:
         return Picture(file=file, reason=UNREADABLE)
     copy = as_it_is(image)
-    markers, views = _search(search, copy, thorough=False)
-    has_markers = any(board.dictionary for board in search.boards)
-    if has_markers and not all(view.is_used and view.is_complete for view in views):
-        markers, views = _search(search, copy, thorough=True)
-    is_seen = any(view.is_used for view in views)
-    for other in further_copies(copy, is_seen=is_seen, has_markers=has_markers):
-        if not any(view.reason in _MAY_BE_BETTER or not view.is_complete for view in views):
-            break
-        further, found = _search(search, other, thorough=True)
-        if _corner_count(found) > _corner_count(views):
-            markers, views = further, found
-    if all(view.reason == NO_BOARD for view in views):
-        views = [
-            replace(view, reason=reason_of_nothing(copy.image, board))
-            for view, board in zip(views, search.boards, strict=True)
-        ]
+    markers, views = search_image(search, copy)
     scale = min(1.0, _SMALL / max(image.shape))
     size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
     shown = cv2.resize(copy.image, size, interpolation=cv2.INTER_AREA)
@@ -275,6 +260,35 @@ def search_picture(search: Search, file: ImageFile) -> Picture:
     )
 
 
+def search_image(search: Search, copy: Copy) -> tuple[dict[str, Markers], list[BoardView]]:
+    """Search a picture for boards, and if it does not show them also its copies.
+
+    Args:
+        search: The boards.
+        copy: The picture as it is.
+
+    Returns:
+        The markers in the picture by their `Board.marker_kind`, and what it shows of each board.
+    """
+    markers, views = _search(search, copy, thorough=False)
+    has_markers = any(board.markers for board in search.boards)
+    if has_markers and not all(view.is_used and view.is_complete for view in views):
+        markers, views = _search(search, copy, thorough=True)
+    is_seen = any(view.is_used for view in views)
+    for other in further_copies(copy, is_seen=is_seen, has_markers=has_markers):
+        if not any(view.reason in _MAY_BE_BETTER or not view.is_complete for view in views):
+            break
+        further, found = _search(search, other, thorough=True)
+        if _corner_count(found) > _corner_count(views):
+            markers, views = further, found
+    if all(view.reason == NO_BOARD for view in views):
+        views = [
+            replace(view, reason=reason_of_nothing(copy.image, board))
+            for view, board in zip(views, search.boards, strict=True)
+        ]
+    return markers, views
+
+
 def _corner_count(views: Sequence[BoardView]) -> int:
     """Return the number of corners that are used of all boards in a picture."""
     return sum(len(view.ids) for view in views if view.is_used)
@@ -283,15 +297,21 @@ def _corner_count(views: Sequence[BoardView]) -> int:
 def _search(
     search: Search, copy: Copy, *, thorough: bool
 ) -> tuple[dict[str, Markers], list[BoardView]]:
-    """Return the markers in a copy by the name of their dictionary, and what it shows of each board [px of picture]."""
-    dictionaries = sorted({board.dictionary for board in search.boards if board.dictionary})
-    markers = {
-        name: find_markers(copy.image, name, thorough=thorough, enlarged=copy.enlarged)
-        for name in dictionaries
-    }
+    """Return the markers in a copy by `Board.marker_kind`, and what it shows of each board, in the picture's pixels."""
+    markers: dict[str, Markers] = {}
     views = []
     for board in search.boards:
-        of_board = no_markers() if board.pattern == CHESSBOARD else markers[board.dictionary]
+        of_board = no_markers()
+        if board.markers:
+            if board.marker_kind not in markers:
+                markers[board.marker_kind] = find_markers(
+                    copy.image,
+                    board.dictionary,
+                    thorough=thorough,
+                    enlarged=copy.enlarged,
+                    border=board.border,
+                )
+            of_board = markers[board.marker_kind]
         view = search_board(copy.image, board, of_board, search.fewest, grey=copy.grey)
         views.append(
             replace(

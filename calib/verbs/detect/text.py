@@ -58,10 +58,9 @@ _FINDINGS = {
     "markers.",
     "unexplained": "{Board}the markers are not where the description has them, and neither swapped columns and rows "
     "nor another layout, size or ratio of marker and square explains it. Is it a flat print of this board?",
-    "ambiguous": "{Board}a chessboard whose columns and rows add up to an even number ({columns} + {rows}) looks the "
-    "same after half a turn, and a picture does not show which end is the first. In each picture the x axis is taken "
-    "to point right; calib calibrate decides by the robot which end it is. A board with one column less, or a "
-    "ChArUco board, shows it.",
+    "ambiguous": "{Board}it looks the same after half a turn ({columns} columns and {rows} rows), and a picture does "
+    "not show which end is the first. In each picture the x axis is taken to point right; calib calibrate decides by "
+    "the robot which end it is. A chessboard of one column less, or a board with markers, shows it.",
     "more_markers": "{Board}the print has more rows than the {old_rows} described. Correct the description, so that "
     "the other corners are used too.",
     "unseen_row": "{Board}no picture shows a marker of the last row described: does the print have {old_rows} rows?",

@@ -76,7 +76,7 @@ def test_a_ratio_of_marker_and_square_is_told_where_it_can_be_measured(count, co
     markers = Markers(np.arange(count), 40.0 + 2500.0 * outlines)
     seen = replace(
         picture("a.png", replace(view(board.name), misread=2)),
-        markers={board.dictionary: markers},
+        markers={board.marker_kind: markers},
     )
     found = list(board_findings(board, [seen]))
     assert [finding.code for finding in found] == codes

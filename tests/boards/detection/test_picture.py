@@ -123,7 +123,8 @@ def test_corners_and_a_small_copy(tmp_path: Path):
     again = pickle.loads(pickle.dumps(picture))
     np.testing.assert_array_equal(again.used[0].pixels, picture.used[0].pixels)
     assert (
-        again.markers["DICT_5X5_100"].ids.tolist() == picture.markers["DICT_5X5_100"].ids.tolist()
+        again.markers["DICT_5X5_100/1"].ids.tolist()
+        == picture.markers["DICT_5X5_100/1"].ids.tolist()
     )
 
 
@@ -131,7 +132,7 @@ def test_a_thorough_search_where_the_quick_one_is_not_enough(tmp_path: Path):
     view = View(tilt=(40, 60, 0), middle=(0, 0, 0.45), blur=1.2, noise=5)
     picture = search_picture(SEARCH, file_of(tmp_path, render(CHARUCO_BOARD, view)))
     # The quick search reads two markers here.
-    assert len(picture.markers["DICT_5X5_100"].ids) >= 4
+    assert len(picture.markers["DICT_5X5_100/1"].ids) >= 4
     assert picture.used
 
 

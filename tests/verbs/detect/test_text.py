@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import calib.verbs.detect.text as text_module
+from calib.boards.board import PATTERNS
 from calib.boards.detection import (
     board_findings as findings,
     board_search,
@@ -96,5 +97,5 @@ def codes(*modules: object) -> set[str]:
 
 def test_every_code_has_its_sentence():
     known = set(text_module._FINDINGS) | set(text_module._REASONS) | set(text_module._VIEW_REASONS)
-    boards = {"charuco", "chessboard", "apriltag"}
+    boards = set(PATTERNS)
     assert codes(board_search, copies, findings, pictures) - boards == known
