@@ -5,7 +5,8 @@
 
 Each board is drawn by NumPy and OpenCV alone, and seen by OpenCV's `warpPerspective` on three by three points of a
 pixel: tilted by up to 60 deg to any side and rolled by any angle, filling a third to nine tenths of the picture's
-height, with a blur of 0.5 to 1.5 px and a noise of 2 to 5 grey values. Nothing of `calib.boards.drawing` or
+height, with a blur of 0.5 to 1.5 px and a noise of 2 to 5 grey values. A cube of tags is turned in any way, its side
+0.15 to 0.45 of the height, and tags seen at more than 60 deg do not count. Nothing of `calib.boards.drawing` or
 `calib.boards.render` is used. A board that looks the same turned may be numbered from another end.
 
 Printed for each board: the share of pictures in which it is used, and of its corners that are found in them; the errors
@@ -17,12 +18,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from studies import print_table
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Mask
 from calib.boards.board import Board
 from calib.boards.detection.copies import as_it_is
 from calib.boards.detection.picture import Search, search_image
@@ -138,7 +140,50 @@ def draw_tag(board: Board) -> Array:
     return paper
 
 
-@dataclass(frozen=True)
+def draw_face(number: int, side: float, paper_side: float) -> Array:
+    """Draw the face of a cube with a tag in its middle."""
+    size, tag_px = round(paper_side * PER_METRE), round(side * PER_METRE)
+    tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    paper = np.ones((size, size))
+    begin = (size - tag_px) // 2
+    end = begin + tag_px
+    paper[begin:end, begin:end] = marker_image(tags, number, 8, tag_px, 1)
+    return paper
+
+
+#: Tags of 60 mm on the faces of a cube of 80 mm: axes x to the right and y down on each face, seen from outside.
+CUBE_SIDE, TAG_SIDE = 0.080, 0.060
+CUBE_FACES = {
+    10: ((1, 0, 0), (0, 0, -1)),
+    11: ((0, 1, 0), (0, 0, -1)),
+    12: ((-1, 0, 0), (0, 0, -1)),
+    13: ((0, -1, 0), (0, 0, -1)),
+    14: ((1, 0, 0), (0, -1, 0)),
+    15: ((1, 0, 0), (0, 1, 0)),
+}
+
+
+def face_pose(number: int) -> Array:
+    """Return the pose (3, 4) of a face of the cube in its frame: origin at the face's upper left corner, z inwards."""
+    x, y = (np.array(axis, dtype=float) for axis in CUBE_FACES[number])
+    z = np.cross(x, y)
+    origin = -0.5 * CUBE_SIDE * (x + y + z)
+    return np.column_stack([x, y, z, origin])
+
+
+def cube() -> Board:
+    """Describe the cube by the corners of its tags."""
+    edge = (CUBE_SIDE - TAG_SIDE) / 2
+    flat = TAG_SIDE * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    flat = flat + np.array([edge, edge, 0])
+    tags = []
+    for number in CUBE_FACES:
+        T = face_pose(number)
+        tags.append((number, tuple(map(tuple, flat @ T[:, :3].T + T[:, 3]))))
+    return Board(pattern="body", dictionary="DICT_APRILTAG_36h11", tags=tuple(tags))
+
+
+@dataclass(frozen=True, eq=False)
 class Kind:
     """A board of the study, and who draws it."""
 
@@ -188,6 +233,7 @@ KINDS = {
         ),
         draw_tag,
     ),
+    "cube of tags": Kind(cube(), empty),
 }
 
 
@@ -218,15 +264,18 @@ def project(T: Array, points: Array) -> Array:
     return np.asarray(seen[:, :2] / seen[:, 2:])
 
 
-def see(paper: Array, T: Array, picture: Array) -> Array:
-    """Return a fine picture with a drawing in front of it, at a pose (3, 4) of the board in the camera."""
+def see(paper: Array, T: Array, picture: Array, margin: float = MARGIN) -> Array:
+    """Return a fine picture with a drawing in front of it, at a pose (3, 4) of the board in the camera.
+
+    The drawing has a margin [m] around what is described.
+    """
     K = np.array([[FOCAL, 0, SIZE[0] / 2], [0, FOCAL, SIZE[1] / 2], [0, 0, 1]])
     H = K @ T[:, [0, 1, 3]]
-    # A pixel of the drawing, by its index, is on the board at (index + 0.5) / PER_METRE - MARGIN.
+    # A pixel of the drawing, by its index, is on the board at (index + 0.5) / PER_METRE - margin.
     to_board = np.array(
         [
-            [1 / PER_METRE, 0, 0.5 / PER_METRE - MARGIN],
-            [0, 1 / PER_METRE, 0.5 / PER_METRE - MARGIN],
+            [1 / PER_METRE, 0, 0.5 / PER_METRE - margin],
+            [0, 1 / PER_METRE, 0.5 / PER_METRE - margin],
             [0, 0, 1],
         ]
     )
@@ -247,6 +296,39 @@ def photograph(fine: Array, rng: np.random.Generator) -> Array:
     return np.asarray(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
 
 
+def shoot(kind: Kind, tilt: float, rng: np.random.Generator) -> tuple[Array, Array, Mask]:
+    """Photograph a board at an angle [rad]: the picture, the true pixels of its corners, and which are in view."""
+    fine = np.full((FINE * SIZE[1], FINE * SIZE[0]), BACKGROUND)
+    if kind.board.pattern != "body":
+        T = pose(kind.board, tilt, rng)
+        fine = see(drawing(kind), T, fine)
+        every = np.ones(len(kind.board.corners), dtype=bool)
+        return photograph(fine, rng), project(T, kind.board.corners), every
+
+    # A cube at any angle; tags that are seen at more than 60 deg need not be found.
+    R = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    R[:, 0] *= np.sign(np.linalg.det(R))
+    distance = FOCAL * CUBE_SIDE / (rng.uniform(0.15, 0.45) * SIZE[1])
+    T = np.column_stack([R, [*rng.uniform(-0.15, 0.15, 2) * distance, distance]])
+    in_view: list[bool] = []
+    for number in CUBE_FACES:
+        of_face = face_pose(number)
+        T_face = R @ of_face
+        T_face[:, 3] += T[:, 3]
+        middle = T_face @ [CUBE_SIDE / 2, CUBE_SIDE / 2, 0, 1]
+        cosine = T_face[:, 2] @ middle / np.linalg.norm(middle)
+        if cosine > 0.0:
+            fine = see(draw_face(number, TAG_SIDE, CUBE_SIDE), T_face, fine, 0.0)
+        in_view += 4 * [bool(cosine > 0.5)]
+    return photograph(fine, rng), project(T, kind.board.corners), np.array(in_view)
+
+
+@cache
+def drawing(kind: Kind) -> Array:
+    """Return the drawing of a board."""
+    return kind.draw(kind.board)
+
+
 def main() -> None:
     """Photograph each board, search it, and print what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -260,20 +342,17 @@ def main() -> None:
         if given.board not in (None, name):
             continue
         board = kind.board
-        paper = kind.draw(board)
         rng = np.random.default_rng([given.seed, len(name)])
-        used, found, errors, sigmas = 0, 0, [], []
+        used, found, shown, errors, sigmas = 0, 0, 0, [], []
         for _ in range(given.pictures):
             tilt = rng.uniform(0, 60) if given.tilt is None else given.tilt
-            T = pose(board, np.radians(tilt), rng)
-            fine = np.full((FINE * SIZE[1], FINE * SIZE[0]), BACKGROUND)
-            image = photograph(see(paper, T, fine), rng)
+            image, true, in_view = shoot(kind, np.radians(tilt), rng)
             _, (view,) = search_image(Search((board,), 12), as_it_is(image))
             if not view.is_used:
                 continue
             used += 1
-            found += len(view.ids)
-            true = project(T, board.corners)
+            found += int(in_view[view.ids].sum())
+            shown += int(in_view.sum())
             misses = [view.pixels - true[order[view.ids]] for order in board.orders_alike]
             errors.append(min(misses, key=lambda miss: np.sum(miss**2)))
             sigmas.append(view.sigma)
@@ -284,7 +363,7 @@ def main() -> None:
             [
                 name,
                 f"{100 * used / given.pictures:.0f} %",
-                f"{100 * found / max(used * len(board.corners), 1):.1f} %",
+                f"{100 * found / max(shown, 1):.1f} %",
                 f"{np.sqrt(np.mean(size**2)):.3f}",
                 f"{np.quantile(size, 0.95):.3f}",
                 f"{np.sqrt(np.median(np.sum(error**2, axis=1) / (2 * sigma**2)) / np.log(2)):.2f}",

@@ -17,6 +17,7 @@ from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.records import Option, key
 from calib.basics.units import LENGTH, parse_amount
 from calib.basics.value_forms import WHOLE, decimal, one_of, text
+from calib.boards.bodies import TAGS_OF_BODY, Tag, tag_of_corners
 from calib.boards.dictionaries import check_markers, dictionary_of
 from calib.errors import CalibError, choices, did_you_mean
 
@@ -39,15 +40,22 @@ CIRCLES = "circles"
 #: A grid of circles in which every second row is moved by half a distance, as OpenCV has it; all must be seen.
 ASYMMETRIC_CIRCLES = "asymmetric_circles"
 
+#: Tags on a body that is not flat, such as the faces of a cube.
+BODY = "body"
+
+#: Attributes of flat prints.
+_FLAT = ("columns", "rows", "square", "sigma_warp")
+
 #: The patterns, and the attributes that only some of them have.
 PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        CHARUCO: ("marker", "dictionary", "first_marker", "legacy"),
-        CHESSBOARD: (),
-        APRILTAG: ("marker", "dictionary", "first_marker"),
-        APRILGRID: ("marker", "dictionary", "first_marker"),
-        CIRCLES: ("marker",),
-        ASYMMETRIC_CIRCLES: ("marker",),
+        CHARUCO: (*_FLAT, "marker", "dictionary", "first_marker", "legacy"),
+        CHESSBOARD: _FLAT,
+        APRILTAG: (*_FLAT, "marker", "dictionary", "first_marker"),
+        APRILGRID: (*_FLAT, "marker", "dictionary", "first_marker"),
+        CIRCLES: (*_FLAT, "marker"),
+        ASYMMETRIC_CIRCLES: (*_FLAT, "marker"),
+        BODY: ("dictionary", "tags"),
     }
 )
 
@@ -95,7 +103,7 @@ class Board:
     pattern: str = key(
         "pattern",
         text(f"one of {choices(PATTERNS)}"),
-        '"charuco", "chessboard", "apriltag", "aprilgrid" (of Kalibr), "circles" or "asymmetric_circles".',
+        '"charuco", "chessboard", "apriltag", "aprilgrid" (of Kalibr), "circles", "asymmetric_circles" or "body".',
         option=Option(
             "--pattern",
             type=tuple(PATTERNS),
@@ -109,6 +117,8 @@ class Board:
         "columns",
         WHOLE,
         "Number of squares, tags or circles along x: across, with the text of the page below the pattern.",
+        default=0,
+        absent="needed, except for a body",
         option=Option(
             "--columns", type=int, least=1, help="Number of squares, tags or circles across."
         ),
@@ -118,6 +128,8 @@ class Board:
         "rows",
         WHOLE,
         "Number of squares, tags or circles along y: down. For a chessboard count squares, not inner corners.",
+        default=0,
+        absent="needed, except for a body",
         option=Option("--rows", type=int, least=1, help="Number of squares, tags or circles down."),
     )
     #: Side of a square as measured on the print; for tags and circles the distance between their centres, for an
@@ -127,6 +139,8 @@ class Board:
         _MM,
         "Side of a square as measured on the print; for tags and circles the distance between centres, from row to row "
         "[mm].",
+        default=0.0,
+        absent="needed, except for a body",
         json="square_m",
         option=Option(
             "--square",
@@ -189,6 +203,16 @@ class Board:
             parse=lambda _typed, _flag: True,
         ),
     )
+    #: Ids and corners [m] of the tags of a body, in its frame; empty for other boards.
+    tags: tuple[Tag, ...] = key(
+        "tags",
+        TAGS_OF_BODY,
+        "Tags of a body: of each its id and its corners [mm], clockwise from its top left; or { id, xyz_mm, rpy_deg, "
+        "side_mm }, the pose of its middle with x to its right, y down, z into it.",
+        default=(),
+        absent="needed for a body",
+        json="tags_m",
+    )
     #: Standard deviation of the relative error of ``square``: how well the print was measured.
     sigma_scale: float = key(
         "sigma_scale_percent",
@@ -220,6 +244,9 @@ class Board:
                 f"The board '{self.name}' has the pattern '{self.pattern}'; allowed are "
                 f"{choices(PATTERNS)}{did_you_mean(self.pattern, PATTERNS)}."
             )
+        if self.pattern == BODY:
+            self._check_body()
+            return
         fewest = _FEWEST[self.pattern]
         if min(self.columns, self.rows) < fewest:
             raise CalibError(
@@ -245,10 +272,34 @@ class Board:
                 )
             where = f"The board '{self.name}' with {self.columns} columns and {self.rows} rows"
             check_markers(self.dictionary, self.first_marker, self.markers, where)
+        self._check_sigma()
+
+    def _check_sigma(self) -> None:
+        """Refuse standard deviations below 0; raises `CalibError`."""
         if min(self.sigma_scale, self.sigma_corner, self.sigma_warp) < 0.0:
             raise CalibError(
                 f"The board '{self.name}' has a standard deviation below 0; 0 stands for a perfect print."
             )
+
+    def _check_body(self) -> None:
+        """Check the tags of a body, and keep them as tuples; a body does not sag. Raises `CalibError`."""
+        if not self.tags:
+            raise CalibError(
+                f"The body '{self.name}' needs its tags: the id and the corners of each."
+            )
+        tags = tuple(tag_of_corners(int(number), np.array(c)) for number, c in self.tags)
+        numbers = [number for number, _ in tags]
+        twice = [number for number in numbers if numbers.count(number) > 1]
+        if twice:
+            raise CalibError(f"The body '{self.name}' has the tag {twice[0]} twice.")
+        if not self.dictionary:
+            raise CalibError(
+                f"The body '{self.name}' needs the dictionary of its tags, such as 'DICT_APRILTAG_36h11'."
+            )
+        check_markers(self.dictionary, max(numbers), 1, f"The body '{self.name}'")
+        object.__setattr__(self, "tags", tags)
+        object.__setattr__(self, "sigma_warp", 0.0)
+        self._check_sigma()
 
     def __copy__(self) -> Board:
         """Return the board itself: it cannot be changed."""
@@ -257,8 +308,17 @@ class Board:
     @property
     def markers(self) -> int:
         """Number of markers or tags; 0 for a chessboard and for circles."""
+        if self.pattern == BODY:
+            return len(self.tags)
         squares = self.columns * self.rows
         return {CHARUCO: squares // 2, APRILTAG: squares, APRILGRID: squares}.get(self.pattern, 0)
+
+    @property
+    def marker_ids(self) -> Integers:
+        """Ids of the markers or tags, in the order of their corners, shape (markers,)."""
+        if self.pattern == BODY:
+            return np.array([number for number, _ in self.tags])
+        return self.first_marker + np.arange(self.markers)
 
     @property
     def border(self) -> int:
@@ -276,6 +336,9 @@ class Board:
 
         The small squares outside of the outermost tags of an aprilgrid are in the margin.
         """
+        if self.pattern == BODY:
+            width, height, _ = np.ptp(self.corners, axis=0).tolist()
+            return width, height
         gap = self.square - self.marker
         if self.pattern == ASYMMETRIC_CIRCLES:
             return 2.0 * self.columns * self.square - gap, self.rows * self.square - gap
@@ -286,6 +349,8 @@ class Board:
     @property
     def corners(self) -> Array:
         """Positions of all corners in the board's frame, in the order of their ids, shape (n, 3) [m]."""
+        if self.pattern == BODY:
+            return np.array([corners for _, corners in self.tags]).reshape(-1, 3)
         if self.pattern in ROUND:
             row, column = np.indices((self.rows, self.columns)).reshape(2, -1)
             across = 2 * column + row % 2 if self.pattern == ASYMMETRIC_CIRCLES else column
@@ -307,6 +372,9 @@ class Board:
     @property
     def centre(self) -> Array:
         """Middle of the pattern in the board's frame, shape (3,) [m]."""
+        if self.pattern == BODY:
+            corners = self.corners
+            return np.asarray((corners.min(axis=0) + corners.max(axis=0)) / 2.0)
         width, height = self.size
         return np.array([width / 2.0, height / 2.0, 0.0])
 

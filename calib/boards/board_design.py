@@ -15,6 +15,7 @@ from calib.boards.board import (
     APRILGRID,
     APRILTAG,
     ASYMMETRIC_CIRCLES,
+    BODY,
     CHARUCO,
     CHESSBOARD,
     CIRCLES,
@@ -102,6 +103,10 @@ def design(
     if pattern not in PATTERNS:
         raise CalibError(
             f"The pattern '{pattern}' is not known{did_you_mean(pattern, PATTERNS)}; allowed are {choices(PATTERNS)}."
+        )
+    if pattern == BODY:
+        raise CalibError(
+            "A body of tags is described in a file, with the id and the corners of each tag; it is not drawn on a page."
         )
     for given, attribute in ((marker, "marker"), (dictionary, "dictionary")):
         if given is not None and attribute not in PATTERNS[pattern]:

@@ -11,9 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import APRILGRID, APRILTAG, ROUND, Board, marker_outlines, white_squares
+from calib.boards.board import (
+    APRILGRID,
+    APRILTAG,
+    BODY,
+    ROUND,
+    Board,
+    marker_outlines,
+    white_squares,
+)
 from calib.boards.dictionaries import opencv_dictionary
 from calib.boards.opencv import opencv
+from calib.errors import CalibError
 
 #: Height of the strips that a circle is drawn in, less than a dot of a printer [m], and their fewest number.
 _STRIP = 4e-5
@@ -33,8 +42,10 @@ def black_rectangles(board: Board) -> Array:
         x and y of the upper left corner in the board's frame, width and height of each rectangle, shape (n, 4) [m].
 
     Raises:
-        CalibError: OpenCV, which has the markers, is not installed.
+        CalibError: OpenCV, which has the markers, is not installed; or it is a body.
     """
+    if board.pattern == BODY:
+        raise CalibError(f"'{board.name}' is a body, which is not drawn on a page.")
     if board.pattern in ROUND:
         return np.concatenate([_strips(centre, board.marker) for centre in board.corners[:, :2]])
     parts = []

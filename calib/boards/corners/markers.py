@@ -51,18 +51,11 @@ class Markers(Value):
         """Return the markers at which a mask, shape (m,), is True."""
         return Markers(self.ids[chosen], self.corners[chosen])
 
-    def of_ids(self, first: int, count: int) -> Markers:
-        """Return the markers whose ids are those of a board, with ids counted from 0.
-
-        Args:
-            first: Id of the board's first marker.
-            count: Number of its markers.
-
-        Returns:
-            Those with one of these ids, which are then counted from 0.
-        """
-        used = self.select((self.ids >= first) & (self.ids < first + count))
-        return Markers(used.ids - first, used.corners)
+    def of_ids(self, ids: Integers) -> Markers:
+        """Return the markers of a board, whose ids are then their places among ``ids`` (n,), from 0."""
+        place = {number: k for k, number in enumerate(ids.tolist())}
+        used = self.select(np.isin(self.ids, ids))
+        return Markers(np.array([place[k] for k in used.ids.tolist()], dtype=int), used.corners)
 
 
 def no_markers() -> Markers:

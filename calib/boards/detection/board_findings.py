@@ -13,7 +13,7 @@ import numpy as np
 import calib.basics.jobs as jobs
 from calib.basics.arrays import Array
 from calib.basics.values import Value
-from calib.boards.board import CHARUCO, CHESSBOARD, Board, marker_outlines
+from calib.boards.board import BODY, CHARUCO, CHESSBOARD, Board, marker_outlines
 from calib.boards.corners.chessboards import size_of_chessboard
 from calib.boards.corners.markers import Markers, find_markers, place_board
 from calib.boards.corners.planar_map import fit_planar_map
@@ -159,6 +159,11 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
     for code in (MIRRORED, TWO_BOARDS):
         if by_reason[code]:
             yield Finding(code=code, board=board.name, pictures=_names(by_reason[code]))
+
+    if board.pattern == BODY:
+        if by_reason[LAYOUT]:
+            yield Finding(code=UNEXPLAINED, board=board.name, pictures=_names(by_reason[LAYOUT]))
+        return
 
     # Why markers are not where the description has them; an id or two that were misread are not a reason.
     wrong = by_reason[LAYOUT]
@@ -369,7 +374,7 @@ def measured_ratio(board: Board, seen: Sequence[Seen]) -> float:
     layout = marker_outlines(board)
     ratios = []
     for markers, image_size in seen:
-        inside = markers.of_ids(board.first_marker, board.markers)
+        inside = markers.of_ids(board.marker_ids)
         if len(inside.ids) < _FEWEST_FOR_RATIO:
             continue
         placement = place_board(inside, layout, image_size)
@@ -403,7 +408,7 @@ def _agreeing_share(board: Board, seen: Sequence[Seen]) -> float:
     total = 0
     for markers, image_size in seen:
         total += len(markers.ids)
-        inside = markers.of_ids(board.first_marker, board.markers)
+        inside = markers.of_ids(board.marker_ids)
         placement = place_board(inside, layout, image_size)
         agreeing += 0 if placement is None else int(placement.agrees.sum())
     return agreeing / total

@@ -9,7 +9,8 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.boards.board import APRILGRID, APRILTAG, CHESSBOARD, ROUND, Board, marker_outlines
+from calib.boards.board import APRILGRID, APRILTAG, BODY, CHESSBOARD, ROUND, Board, marker_outlines
+from calib.boards.corners.body_views import agreeing_tags
 from calib.boards.corners.chessboards import (
     find_chessboard,
     find_inner_corners,
@@ -155,13 +156,15 @@ def search_board(
         )
         if is_part_of_larger(grey, board, planar_map):
             return _empty(board, LAYOUT)
+    elif board.pattern == BODY:
+        return _search_body(grey, board, markers.of_ids(board.marker_ids), fewest)
     elif board.pattern in ROUND:
         circles = find_circles(image, board)
         if circles is None:
             return _empty(board, NO_BOARD)
         saddles, planar_map = refine_circles(grey, board, circles)
     else:
-        markers = markers.of_ids(board.first_marker, board.markers)
+        markers = markers.of_ids(board.marker_ids)
         layout = marker_outlines(board)
         if len(markers.ids) < min(FEWEST_MARKERS, board.markers):
             return _empty(board, NO_BOARD)
@@ -208,6 +211,33 @@ def search_board(
         rms=float(np.sqrt(np.mean(square))) if exist.any() else np.nan,
         misread=misread,
         reason=reason,
+    )
+
+
+def _search_body(grey: Array, board: Board, markers: Markers, fewest: int) -> BoardView:
+    """Return the corners of the tags of a body, by their ids, that agree on its pose; ``fewest`` as of `search_board`.
+
+    An image shows a side of it only, and so one tag is enough.
+    """
+    if not len(markers.ids):
+        return _empty(board, NO_BOARD)
+    layout = board.corners.reshape(-1, 4, 3)
+    agrees = agreeing_tags(markers, layout, (grey.shape[1], grey.shape[0]))
+    if agrees is None:
+        return _empty(board, LAYOUT)
+    used = markers.select(agrees)
+    ids = (4 * used.ids[:, None] + np.arange(4)).reshape(-1)
+    order = np.argsort(ids)
+    saddles = tag_corners(grey, used.corners)
+    found = saddles.exist[order]
+    return BoardView(
+        board=board.name,
+        ids=ids[order][found],
+        pixels=saddles.pixels[order][found],
+        sigma=saddles.sigma[order][found],
+        visible=len(ids),
+        misread=int((~agrees).sum()),
+        reason="" if found.sum() >= min(fewest, 4) else FEW_CORNERS,
     )
 
 
@@ -268,7 +298,9 @@ def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
     if board.pattern in ROUND:
         return find_circles(image, board) is not None
     markers = find_markers(image, board.dictionary, border=board.border)
-    markers = markers.of_ids(board.first_marker, board.markers)
+    markers = markers.of_ids(board.marker_ids)
+    if board.pattern == BODY:
+        return len(markers.ids) >= min(FEWEST_MARKERS, board.markers)
     placement = place_board(
         markers,
         marker_outlines(board),

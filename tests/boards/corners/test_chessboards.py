@@ -36,7 +36,7 @@ STEEP = [
 
 def corners_of(image: Array, board: Board, of_ids: tuple[int, int] = (0, 17)) -> Saddles:
     """The corners, grown from some of the markers."""
-    markers = find_markers(image, board.dictionary).of_ids(*of_ids)
+    markers = find_markers(image, board.dictionary).of_ids(of_ids[0] + np.arange(of_ids[1]))
     layout = marker_outlines(board)[of_ids[0] :]
     placement = place_board(markers, layout, (image.shape[1], image.shape[0]))
     assert placement is not None
