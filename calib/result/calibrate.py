@@ -22,6 +22,7 @@ from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.registration.board_ends import numbered_from_one_end
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
@@ -91,7 +92,7 @@ def calibrate(
     check_callable("progress", progress)
     if isinstance(model, str):
         stated = replace(stated, model=model)
-    measured = measured.without_copies()
+    measured = numbered_from_one_end(arm, measured.without_copies(), stated)
     fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
     drift = None
     if validate and not fits.mistake:
