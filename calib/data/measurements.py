@@ -160,7 +160,15 @@ class Measurements(Value):
         check_argument_types(self)
         fill = partial(object.__setattr__, self)
         count = len(np.asarray(self.points))
-        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies", "turned", "other_end"):
+        for name in (
+            "joint_names",
+            "prismatic",
+            "ignored",
+            "unmeasured",
+            "copies",
+            "turned",
+            "other_end",
+        ):
             fill(name, tuple(getattr(self, name)))
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, (_, word) in WORD_COLUMNS.items():

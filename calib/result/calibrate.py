@@ -20,7 +20,8 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
-from calib.diagnosis.reasons import NO, Reason, Verdict, Why
+from calib.diagnosis.picture_mistakes import mistakes_of_pictures
+from calib.diagnosis.reasons import NO, Reason, Role, Verdict, Why
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.board_ends import numbered_from_one_end
 from calib.fit.registration.registration import nominal_setup, register_held_out
@@ -93,7 +94,20 @@ def calibrate(
     if isinstance(model, str):
         stated = replace(stated, model=model)
     measured = numbered_from_one_end(arm, measured.without_copies(), stated)
-    fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
+    found = mistakes_of_pictures(arm, stated, measured)
+    wrong = [f.reason for f in found if f.reason.why.role is Role.WRONG_INPUT]
+    if not wrong:  # the other pictures tell the robot
+        left_out = [row for finding in found for row in finding.rows]
+        measured = measured.select(~np.isin(measured.rows, left_out))
+    fits = fit_table(
+        arm,
+        measured,
+        stated,
+        model=model,
+        solver=solver,
+        robust=robust,
+        mistake=wrong[0] if wrong else None,
+    )
     drift = None
     if validate and not fits.mistake:
         drift = _found_drift(measured, fits)
@@ -107,7 +121,10 @@ def calibrate(
         result = _assemble(measured, fits)
         absurd = absurd_noise(result.noise.sigma)
         return result if absurd is None else _with_verdict_against(result, absurd)
-    return _assemble_validated(measured, fits, progress, drift)
+    before = [finding.reason for finding in found]
+    if drift is not None:
+        before.append(Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))))
+    return _assemble_validated(measured, fits, progress, tuple(before))
 
 
 def _found_drift(measurements: Measurements, fits: TableFits) -> Array | None:
@@ -146,11 +163,11 @@ def _assemble_validated(
     measurements: Measurements,
     fits: TableFits,
     progress: Progress | None,
-    drift: Array | None = None,
+    found: tuple[Reason, ...] = (),
 ) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdicts.
 
-    ``drift``, (3,) [m], was taken out of the measurements, which is stated; None: nothing was.
+    ``found`` is what was found before the fit, such as a drift that was taken out of the measurements.
 
     A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
     the next candidates are tried, and none stays if none does. One that the user named stays.
@@ -198,10 +215,7 @@ def _assemble_validated(
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
-    notes: tuple[Reason, ...] = ()
-    if drift is not None:
-        notes = (Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))),)
-    return add_verdicts(result, fits.fitted_rows, notes)
+    return add_verdicts(result, fits.fitted_rows, found)
 
 
 def _assemble(

@@ -123,9 +123,7 @@ def with_ends_of(
             continue
         turn = turns[table.targets[row]]
         of_view = np.flatnonzero(is_alike & np.all(labels == labels[row], axis=1))
-        board_points[of_view] = (
-            board_points[of_view] @ turn.T[end, :3, :3].T + turn.T[end, :3, 3]
-        )
+        board_points[of_view] = board_points[of_view] @ turn.T[end, :3, :3].T + turn.T[end, :3, 3]
         for i in of_view.tolist():
             corners[i] = str(turn.orders[end][int(corners[i])])
         other_end.append(table.images[row] or f"row {table.rows[row]}")
@@ -151,9 +149,7 @@ def _alike_targets(table: Measurements, cell: Cell) -> Mapping[str, _Turns]:
     return result
 
 
-def _ends(
-    T_base_tip: Array, setup: Setup, poses: Rows, turns: Mapping[int, _Turns]
-) -> Integers:
+def _ends(T_base_tip: Array, setup: Setup, poses: Rows, turns: Mapping[int, _Turns]) -> Integers:
     """Return the turn of each of V views that puts its board's first corner to one end, shape (V,).
 
     The tip is at T_base_tip, (V, 4, 4) [m]; ``poses`` are the boards' poses in the cameras, and ``turns`` those of each
@@ -239,7 +235,9 @@ def _orientations(poses: Rows) -> Array:
 
 def _after(turns: _Turns, ends: Integers, further: int) -> Integers:
     """Return the numbers of the turns of views (v,), each followed by one more turn."""
-    first = turns.orders[further][turns.orders[:, 0]]  # of each turn, where it takes the first corner
+    first = turns.orders[further][
+        turns.orders[:, 0]
+    ]  # of each turn, where it takes the first corner
     number = {int(corner): k for k, corner in enumerate(turns.orders[:, 0])}
     return np.array([number[int(corner)] for corner in first])[ends]
 
