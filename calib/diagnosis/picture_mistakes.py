@@ -79,7 +79,7 @@ class Finding:
 
     #: Its name and numbers
     reason: Reason
-    #: Numbers of the table's rows that are in these pictures
+    #: Numbers of the table's rows that are in these pictures; empty if all rows have the mistake
     rows: tuple[int, ...]
 
 
@@ -145,7 +145,7 @@ class _Views:
         wanted = np.zeros(len(labels), dtype=bool)
         for row in self.first[views].tolist():
             wanted |= np.all(labels == labels[row], axis=1)
-        return wanted & self.rows.has_views
+        return np.asarray(wanted & self.rows.has_views)
 
 
 def mistakes_of_pictures(robot: Robot, cell: Cell, table: Measurements) -> tuple[Finding, ...]:
@@ -194,8 +194,10 @@ def mistakes_of_pictures(robot: Robot, cell: Cell, table: Measurements) -> tuple
         names = np.array([table.images[row] or str(table.rows[row]) for row in views.first])
         station = setup.groups[f] if len(setup.groups) > 1 else ""
         for reason, concerned in _explanations(views, names, table.rows, station):
-            of_pictures = np.array(table.rows)[views.rows_of(concerned)]
-            result.append(Finding(reason, tuple(of_pictures.tolist())))
+            numbers: tuple[int, ...] = ()
+            if concerned is not None:
+                numbers = tuple(np.array(table.rows)[views.rows_of(concerned)].tolist())
+            result.append(Finding(reason, numbers))
     return tuple(result)
 
 
@@ -208,7 +210,7 @@ def _errors(setup: Setup, T_base_tip: Array, poses: Rows) -> Array:
     """Return how far the V poses of a board are off, (V,) [m]: their distance, and their angle at the length `_ARM`."""
     residual = poses.residual(setup.target_poses(T_base_tip, poses.samples))
     distances = np.linalg.norm(residual[:, :3], axis=1)
-    return np.hypot(distances, _ARM * np.linalg.norm(residual[:, 3:6], axis=1))
+    return np.asarray(np.hypot(distances, _ARM * np.linalg.norm(residual[:, 3:6], axis=1)))
 
 
 def _common_setup(setup: Setup, T_base_tip: Array, poses: Rows) -> tuple[Setup, Mask, float] | None:
@@ -276,8 +278,8 @@ def _shifted(setup: Setup, T_base_tip: Array, poses: Rows, numbers: Integers) ->
 
 def _explanations(
     views: _Views, names: Array, table_rows: tuple[int, ...], station: str
-) -> Iterator[tuple[Reason, Mask]]:
-    """Yield at most one mistake that explains the views that disagree, and which views, (V,), it concerns.
+) -> Iterator[tuple[Reason, Mask | None]]:
+    """Yield at most one mistake that explains the views that disagree, and which views, (V,), it concerns (None: all).
 
     ``names``, (V,), are those of the pictures, ``table_rows`` the numbers of all rows, and ``station`` is that of the
     camera.
@@ -296,7 +298,7 @@ def _explanations(
             row = int(table_rows[views.first[place]])
             errors = views.errors()
             sizes = {"given_m": rms(errors), "error_m": rms(errors[views.agree])}
-            yield Reason.of(Why.ROWS_MOVED, **sizes, row=row, up=bool(steps[0] > 0)), off
+            yield Reason.of(Why.ROWS_MOVED, **sizes, row=row, up=bool(steps[0] > 0)), None
             return
         if set(others[explained].tolist()) <= set(np.flatnonzero(off).tolist()):
             yield Reason.of(Why.PICTURES_EXCHANGED, **values, named=names[off].tolist()), off
@@ -347,7 +349,7 @@ def _turned_images(views: _Views) -> Array:
             of_camera = views.rows.samples.frame == f
             size = np.array([camera.width, camera.height]) - 1.0
             measured[of_camera, :2] = size - measured[of_camera, :2]
-    return measured
+    return np.asarray(measured)
 
 
 def _rows_instead(views: _Views, off: Mask) -> tuple[Integers, Mask]:

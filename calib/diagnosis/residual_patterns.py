@@ -19,7 +19,6 @@ from calib.diagnosis.augmented_fit import (
     estimate_jointly,
     gain_on_blocks,
 )
-from calib.diagnosis.camera_changes import changed_cameras
 from calib.diagnosis.computed import ROUNDING_NOISE, SOME_VALUES, largest_step
 from calib.diagnosis.patterns import Stack, drift, functions_of_joint, lag, step
 from calib.diagnosis.reasons import Reason, Why
@@ -39,16 +38,13 @@ _LEAST_ROUNDED = 0.5
 _MOST_ROUNDED = 3.0
 
 
-def residual_patterns(
-    fitted: Fitted, numbers: Integers, moves: Array, images: tuple[str, ...] = ()
-) -> Iterator[Reason]:
+def residual_patterns(fitted: Fitted, numbers: Integers, moves: Array) -> Iterator[Reason]:
     """Find the patterns that the residuals of a fit have.
 
     Args:
         fitted: The fit of the best model, so that no better model explains the patterns.
         numbers: Numbers of its N rows in the table, in the order of their measurement, shape (N,).
         moves: Each joint's value minus that in the table's row before, shape (N, m), [rad] or [m].
-        images: Name of the picture that each of the N rows is in; empty if none is in one.
 
     Yields:
         A reason for each pattern; none if the residuals are rounding or have few degrees of freedom.
@@ -59,13 +55,9 @@ def residual_patterns(
         return
     residuals = Residuals.of(fitted, numbers, moves)
     yield from _rounded_joints(residuals)
-    yield from _lagging_joints(residuals)
+    yield from lagging_joints(residuals)
 
     stack = residuals.stack
-    if np.any(problem.rows.has_views):
-        for reason, Z in changed_cameras(residuals, stack, images or ("",) * len(problem.rows)):
-            yield reason
-            stack = stack.beyond(Z)
     for target in range(len(fitted.setup.targets)):
         moved = _moved_target(residuals, stack, target)
         if moved is not None:
@@ -123,11 +115,15 @@ def _rounded_joints(residuals: Residuals) -> Iterator[Reason]:
         yield Reason.of(Why.JOINTS_COARSE, joint=name, share=min(share, 1.0), **grid)
 
 
-def _lagging_joints(residuals: Residuals) -> Iterator[Reason]:
+def lagging_joints(residuals: Residuals) -> Iterator[Reason]:
     """Say if joints were measured before they had arrived: they miss a share of their last move.
 
-    The reason names the joint with the largest share, and states the rms share of all. There is none if moves do not
-    predict held-out blocks of rows.
+    Args:
+        residuals: Of a fit to N rows, with the joints' moves.
+
+    Yields:
+        At most one reason, with the joint of the largest share, and the rms share of all; none if moves do not predict
+        held-out blocks of rows.
     """
     joints, moves = residuals.joints, residuals.moves
     if not joints:

@@ -15,13 +15,15 @@ from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
+from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import PREDICTS
+from calib.diagnosis.camera_changes import changes_between_pictures
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.picture_mistakes import mistakes_of_pictures
-from calib.diagnosis.reasons import NO, Reason, Role, Verdict, Why
+from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.board_ends import numbered_from_one_end
 from calib.fit.registration.registration import nominal_setup, register_held_out
@@ -41,6 +43,7 @@ from calib.result.joint_zeros import joint_zeros
 from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
 from calib.result.result_optics import result_optics
 from calib.result.table_fits import TableFits, fit_table
+from calib.robot.robot import Robot
 
 
 @one_blas_thread()
@@ -94,11 +97,7 @@ def calibrate(
     if isinstance(model, str):
         stated = replace(stated, model=model)
     measured = numbered_from_one_end(arm, measured.without_copies(), stated)
-    found = mistakes_of_pictures(arm, stated, measured)
-    wrong = [f.reason for f in found if f.reason.why.role is Role.WRONG_INPUT]
-    if not wrong:  # the other pictures tell the robot
-        left_out = [row for finding in found for row in finding.rows]
-        measured = measured.select(~np.isin(measured.rows, left_out))
+    measured, found, wrong = _without_mistakes_of_pictures(arm, stated, measured)
     fits = fit_table(
         arm,
         measured,
@@ -106,7 +105,7 @@ def calibrate(
         model=model,
         solver=solver,
         robust=robust,
-        mistake=wrong[0] if wrong else None,
+        mistake=wrong,
     )
     drift = None
     if validate and not fits.mistake:
@@ -121,10 +120,27 @@ def calibrate(
         result = _assemble(measured, fits)
         absurd = absurd_noise(result.noise.sigma)
         return result if absurd is None else _with_verdict_against(result, absurd)
-    before = [finding.reason for finding in found]
+    before = list(found)
     if drift is not None:
         before.append(Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))))
     return _assemble_validated(measured, fits, progress, tuple(before))
+
+
+def _without_mistakes_of_pictures(
+    robot: Robot, cell: Cell, measurements: Measurements
+) -> tuple[Measurements, tuple[Reason, ...], Reason | None]:
+    """Leave out the pictures that a mistake explains, and return these mistakes; and one of all rows, None without."""
+    found: list[Reason] = []
+    for find in (mistakes_of_pictures, changes_between_pictures):
+        findings = find(robot, cell, measurements)
+        for finding in findings:
+            if not finding.rows:
+                return measurements, tuple(found), finding.reason
+            found.append(finding.reason)
+        left_out = [row for finding in findings for row in finding.rows]
+        if left_out:  # the other pictures tell the robot
+            measurements = measurements.select(~np.isin(measurements.rows, left_out))
+    return measurements, tuple(found), None
 
 
 def _found_drift(measurements: Measurements, fits: TableFits) -> Array | None:

@@ -106,8 +106,7 @@ def patterns_in_table(fitted: Fitted, measurements: Measurements) -> Iterator[Re
     few, chosen = thin(fitted)
     in_table = np.flatnonzero(measurements.estimation)[chosen]
     moves = measurements.moves_for(fitted.task.robot.joint_names)[in_table]
-    images = tuple(measurements.images[i] for i in in_table.tolist())
-    yield from residual_patterns(few, np.array(measurements.rows)[in_table], moves, images)
+    yield from residual_patterns(few, np.array(measurements.rows)[in_table], moves)
 
 
 def late_in_table(geometry: Fitted, measurements: Measurements) -> Iterator[Reason]:
