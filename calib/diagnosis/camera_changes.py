@@ -1,7 +1,7 @@
 """What changed between pictures, by a quick fit: a camera that was moved or refocused, or joint values that are late.
 
-Larger changes are found without any fit (`calib.diagnosis.picture_mistakes`). What a fit leaves of a small one is a
-step along the camera's own displacement, or along the focal lengths and the centre of its lens. A board that moved leaves
+Larger changes are found without a fit (`calib.diagnosis.picture_mistakes`). What a fit leaves of a small one is a step
+along the camera's own displacement, or along the focal lengths and the centre of its lens. A board that moved leaves
 another one, and of the three that is named which explains most for the numbers that it takes. The fit is one of the
 whole geometry to some corners of each view, each where the print has it.
 """
@@ -36,8 +36,8 @@ from calib.robot.robot import Robot
 #: The model of the quick fit.
 _MODEL = "dh"
 
-#: Late joints are the cause if they explain more than this share of the residuals' variance, or of the arm's errors.
-_CAUSE = 0.5
+#: Late joints are the cause if held-out errors fall by more than this share with them.
+_CAUSE = 0.3
 
 #: Columns of the internals that a change of focus moves: focal lengths and centre.
 _FOCUS = slice(FOCAL.start, FOCAL.stop + 2)
@@ -76,11 +76,12 @@ def changes_between_pictures(robot: Robot, cell: Cell, table: Measurements) -> t
         fitted, np.array(table.rows)[places], table.moves_for(robot.joint_names)[places]
     )
     late = [
-        *(r for r in late_joints(fitted, q, places) if r.values["over_arm"] > _CAUSE),
-        *(r for r in lagging_joints(residuals) if r.values["share"] > _CAUSE),
+        *late_joints(fitted, q, places),
+        *lagging_joints(residuals),
     ]
-    if late:
-        return (Finding(late[0], ()),)
+    for reason in late:
+        if reason.values["falls"] > _CAUSE:
+            return (Finding(reason, ()),)
     return tuple(_changed_cameras(residuals, table, places))
 
 

@@ -11,8 +11,9 @@ turn, by the joint values of another row, by another focal length, or by one oth
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -68,6 +69,19 @@ _FEWEST_MOVED = 3
 #: Another focal length is named rather than another pose, which has five more numbers, if it leaves at most so many
 #: times the error.
 _AS_GOOD = 1.5
+
+#: Shares of a move that are tried, and their step: of 60 deg it is 2 deg, within which the error has one minimum.
+_SHARE_STEP = 0.03
+_SHARES = tuple(np.arange(_SHARE_STEP, 0.6, _SHARE_STEP).tolist())
+
+#: Late joint values are named if undoing them lowers the error to this share: one number for all joints and pictures.
+_LATE = 0.5
+
+#: The least error, to divide by [m].
+_TINY = 1e-9
+
+#: Joint values, (V, m), and a share, to joint values in which it is undone.
+Undo: TypeAlias = Callable[[Array, float], Array]
 
 #: Tolerance of a registration: three digits are enough to compare.
 _TOLERANCE = 1e-4
@@ -181,12 +195,17 @@ def mistakes_of_pictures(robot: Robot, cell: Cell, table: Measurements) -> tuple
             continue
         part, tips = poses.select(chosen), T_base_tip[chosen]
         common = _common_setup(setup, tips, part)
+        if common is not None and np.all(common[1]):
+            continue
+        q = rows.joints[first[chosen]]
         if common is None:
             shift = _shifted(setup, tips, part, np.array(table.rows)[first[chosen]])
-            if shift is not None:
-                result.append(Finding(shift, ()))
-            continue
-        if np.all(common[1]):
+            of_all = shift or _late(robot, setup, q, part)
+        else:
+            of_all = _late(robot, setup, q, part)
+        if of_all is not None:
+            result.append(Finding(of_all, ()))
+        if of_all is not None or common is None:
             continue
         views = _Views(cell, rows, first[chosen], tips, part, *common).without_mirrored()
         if np.all(views.agree):
@@ -245,7 +264,7 @@ def _common_setup(setup: Setup, T_base_tip: Array, poses: Rows) -> tuple[Setup, 
 
 
 def _shifted(setup: Setup, T_base_tip: Array, poses: Rows, numbers: Integers) -> Reason | None:
-    """Say if V pictures agree once those from some one on have the joint values of the next row, or of the one before.
+    """Say if V pictures agree once those from some one on have the joint values of the next row, or the one before.
 
     ``numbers``, (V,), are those of the first rows of the views in the table.
     """
@@ -276,10 +295,57 @@ def _shifted(setup: Setup, T_base_tip: Array, poses: Rows, numbers: Integers) ->
     return None
 
 
+def _late(robot: Robot, setup: Setup, q: Array, poses: Rows) -> Reason | None:
+    """Say if V pictures agree far better with joint values, (V, m), of another time: by one share of the joints' moves.
+
+    The share is sought for joint values that are late or early on the way to the next row, and for joints that had not
+    arrived.
+    """
+
+    def error(share: float, undo: Undo) -> float:
+        """Return the rms error of the views with the share of the moves undone [m]."""
+        tips = robot.poses(undo(q, share))
+        placed = register_all_rows(tips, setup, poses, tolerance=_TOLERANCE)
+        return rms(_errors(placed, tips, poses))
+
+    as_given = error(0.0, _not_yet_arrived)
+    tried = []
+    for undo, sign in ((_old_values, 1.0), (_early_values, -1.0), (_not_yet_arrived, 1.0)):
+        coarse = min(_SHARES, key=lambda share: error(share, undo))
+        fine = np.linspace(coarse - _SHARE_STEP, coarse + _SHARE_STEP, 9)[1:-1].tolist()
+        best = min((coarse, *fine), key=lambda share: error(share, undo))
+        tried.append((error(best, undo), sign * best))
+    least, share = min(tried)
+    if least > _LATE * as_given:
+        return None
+    falls = 1.0 - least / as_given
+    return Reason.of(
+        Why.JOINTS_LATE, of_step=share, over_arm=as_given / max(least, _TINY), falls=falls
+    )
+
+
+def _old_values(q: Array, share: float) -> Array:
+    """Return joint values that were read a share of each move too early: q_i + s m_i, with the moves m of the result."""
+    result = q.copy()
+    for i in range(1, len(q)):
+        result[i] = (q[i] - share * result[i - 1]) / (1.0 - share)
+    return np.asarray(result)
+
+
+def _early_values(q: Array, share: float) -> Array:
+    """Return joint values that were read a share of the next move too late."""
+    return _old_values(q[::-1], share)[::-1]
+
+
+def _not_yet_arrived(q: Array, share: float) -> Array:
+    """Return where joints were that missed a share of each move to the values that were commanded."""
+    return np.asarray(q - share * np.diff(q, axis=0, prepend=q[:1]))
+
+
 def _explanations(
     views: _Views, names: Array, table_rows: tuple[int, ...], station: str
 ) -> Iterator[tuple[Reason, Mask | None]]:
-    """Yield at most one mistake that explains the views that disagree, and which views, (V,), it concerns (None: all).
+    """Yield at most one mistake that explains the views that disagree, and which views, (V,), it concerns; None: all.
 
     ``names``, (V,), are those of the pictures, ``table_rows`` the numbers of all rows, and ``station`` is that of the
     camera.

@@ -245,10 +245,10 @@ class FittedModel(Value):
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, which includes what the
         model lacks; it is no less than ``noise_measured``, as an error that all rows share, that of a print's size,
         does not show in them. Of images it is what held-out views show of the board's position in three dimensions,
-        beyond their own noise (`BoardErrors.predicted`): residuals in pixels hardly show depth. For the second the variance of the prediction at the measured poses, the square of
-        ``noise_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without
-        cross-validation, or if no length was measured, these two are taken. To either is added what a scale error of
-        the instrument does (``by_scale``).
+        beyond their own noise (`BoardErrors.predicted`): residuals in pixels hardly show depth. For the second the
+        variance of the prediction at the measured poses, the square of ``noise_measured``, is exchanged for that over
+        the limits, the square of ``expected_elsewhere``. Without cross-validation, or if no length was measured, these
+        two are taken. To either is added what a scale error of the instrument does (``by_scale``).
         """
         near, elsewhere = self.noise_measured, self.expected_elsewhere
         validation = self.cross_validation
