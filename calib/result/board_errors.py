@@ -20,6 +20,7 @@ import numpy as np
 from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
 from calib.fit.registration.rows import Rows
+from calib.model.internals import InternalValues
 from calib.model.kinematics import Sightings
 
 #: The fewest corners of a view: they leave two scalars beyond the six of the pose.
@@ -105,7 +106,9 @@ def board_errors(
 def _by_displacement(rows: Rows, sightings: Sightings) -> Array:
     """Return the derivative of the N predictions by motions of the board's origin and its turns, (N, D, 6)."""
     motions = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
-    return rows.derivative(replace(sightings, twists=motions))
+    internals = sightings.internals
+    fixed = None if internals is None else InternalValues.fixed(internals.values)
+    return rows.derivative(replace(sightings, twists=motions, internals=fixed))
 
 
 def _summary(found: list[tuple[Array, Array, Array]]) -> BoardErrors:
