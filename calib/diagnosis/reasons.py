@@ -186,6 +186,7 @@ class Why(str, Enum):
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
     OTHER_END = "other_end", Role.INFORMATION
+    CORNERS_THINNED = "corners_thinned", Role.INFORMATION
     DRIFT_REMOVED = "drift_removed", Role.INFORMATION
     SIGMA_UNLIKELY = "sigma_unlikely", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION

@@ -123,7 +123,9 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
 
     if len(few_rows) < len(rows) or search_task is not task:
         whole_task = replace(best_task, setup=task.setup)
-        chosen = fit(whole_task, rows, registered=reference.setup)
+        # With internals of points, the whole fit is so large that it begins where the search has come to.
+        near = () if search_task is task else (chosen, reference)
+        chosen = fit(whole_task, rows, registered=reference.setup, near=near)
     return Selection(geometry, non_geometric, candidates, chosen)
 
 
