@@ -395,11 +395,14 @@ def _seen_cell(cell: Cell, table: Measurements) -> Cell:
 
 
 def _some_rows(table: Measurements) -> Measurements:
-    """Copy a table with at most `_ROWS` of its rows, evenly over it."""
-    count = min(len(table), _ROWS)
-    numbers = np.linspace(0, len(table) - 1, count).astype(int)
+    """Copy a table with at most about `_ROWS` of its rows, evenly over those of each station and target."""
+    labels = [*zip(table.groups, table.targets, strict=True)]
+    share = min(_ROWS / max(len(table), 1), 1.0)
     chosen = np.zeros(len(table), dtype=bool)
-    chosen[numbers] = True
+    for label in dict.fromkeys(labels):
+        rows = np.flatnonzero([other == label for other in labels])
+        count = min(max(round(share * len(rows)), _FEWEST_ROWS_OF_FRAME), len(rows))
+        chosen[rows[np.linspace(0, len(rows) - 1, count).astype(int)]] = True
     return table.select(chosen)
 
 
