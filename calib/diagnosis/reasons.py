@@ -177,6 +177,7 @@ class Why(str, Enum):
     CREEPS = "creeps", Role.INFORMATION
     ONE_SIDED = "one_sided", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
+    ALREADY_CORRECTED = "already_corrected", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
     DRIFT_REMOVED = "drift_removed", Role.INFORMATION

@@ -278,6 +278,9 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         falling = [name for name, sign in zip(names, side, strict=True) if sign < 0.0]
         rising = [name for name, sign in zip(names, side, strict=True) if sign > 0.0]
         yield Reason.of(Why.ONE_SIDED, rising=rising, falling=falling)
+    if result.nominal.urdf.run:
+        urdf = result.nominal.urdf
+        yield Reason.of(Why.ALREADY_CORRECTED, run=urdf.run, verdict=urdf.verdict)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
     if m.turned:

@@ -233,6 +233,8 @@ SENTENCES = {
     "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
     "scale is known better, say so: --instrument tracker, or in the cell file sigma_scale_percent or, once a known "
     "length was checked, scale_certified = true.",
+    Why.ALREADY_CORRECTED: "The robot given is a corrected URDF of run {run}{its_verdict}: changes count from it, and "
+    "the priors are centred on it, their sizes estimated from these rows.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
     Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
@@ -422,6 +424,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "with_noise": "",
         "if_exact": "do not state it as exact, and " if values.get("exact") else "",
         "rows_aside": "",
+        "its_verdict": f", whose verdict was {values['verdict']}" if values.get("verdict") else "",
         "named": "",
         "of_station": "",
         "ranges": _ranges(values),

@@ -10,6 +10,7 @@ import pytest
 from calib.basics.channels import Channels
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stated_values import Scale
+from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import (
     _collect_evidence,
@@ -143,3 +144,11 @@ def test_late_joint_values_are_not_said_to_be_creep_too():
     late, step = Reason.of(Why.JOINTS_LATE, of_step=0.1), Reason.of(Why.TARGET_STEP)
     assert without_explained([creeps, short], [step, late]) == (short,)
     assert without_explained([creeps, short], [step]) == (creeps, short)
+
+
+def test_a_robot_that_is_corrected_already_is_named(calibrated):
+    _, first = calibrated("known set-ups")
+    assert Why.ALREADY_CORRECTED not in {reason.why for reason in first.verdict.reasons}
+    again = calibrate(first.robot, first.fit.measurements, model="zeros")
+    (note,) = [r for r in again.verdict.reasons if r.why is Why.ALREADY_CORRECTED]
+    assert note.values == {"run": first.run, "verdict": ""}

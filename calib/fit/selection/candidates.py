@@ -133,6 +133,8 @@ def check_parameter_names(task: Task) -> None:
     known = set()
     for model in (largest, "zeros", "dh", "hayati"):
         known |= {*replace(without_frozen, model=model).error_model().names}
+    urdf = task.robot.urdf
+    known |= {*cell.frozen} & {*urdf.links, *(joint.name for joint in urdf.joints)}
     unknown = sorted(named - known)
     if unknown:
         raise ModelError(
