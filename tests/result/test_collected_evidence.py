@@ -10,7 +10,6 @@ import pytest
 from calib.basics.channels import Channels
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.stated_values import Scale
-from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import (
     _collect_evidence,
@@ -148,7 +147,7 @@ def test_late_joint_values_are_not_said_to_be_creep_too():
 
 def test_a_robot_that_is_corrected_already_is_named(calibrated):
     _, first = calibrated("known set-ups")
-    assert Why.ALREADY_CORRECTED not in {reason.why for reason in first.verdict.reasons}
-    again = calibrate(first.robot, first.fit.measurements, model="zeros")
-    (note,) = [r for r in again.verdict.reasons if r.why is Why.ALREADY_CORRECTED]
+    assert Why.ALREADY_CORRECTED not in {note.why for note in _notes(first)}
+    again = replace(first, nominal=first.robot)
+    (note,) = [note for note in _notes(again) if note.why is Why.ALREADY_CORRECTED]
     assert note.values == {"run": first.run, "verdict": ""}
