@@ -276,6 +276,11 @@ class Calibration(Value):
         return self.geometry.model
 
     @property
+    def is_setup_only(self) -> bool:
+        """True if frames and targets alone were sought: the user named the model ``frames``."""
+        return self.model.name == "frames" and not self.method.candidates
+
+    @property
     def parameters(self) -> tuple[ParameterEstimate, ...]:
         """Nominal and calibrated value, standard deviation and interval of the p parameters of the geometry."""
         return self.geometry.parameters

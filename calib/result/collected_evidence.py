@@ -12,9 +12,11 @@ from calib.basics.arrays import Array, Mask
 from calib.basics.channels import Channels
 from calib.diagnosis.evidence import Evidence, ValidationErrors
 from calib.diagnosis.judge import judge
-from calib.diagnosis.reasons import NO, Reason, Why
+from calib.diagnosis.judge_setup import judge_setup
+from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
+from calib.model.error_model import FRAME, TARGET
 from calib.numerics.errors import Errors
 from calib.numerics.moves import common_side
 from calib.numerics.rigid_motion import without_rigid_motion
@@ -59,7 +61,44 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
     every_note = (*notes, *without_explained(_notes(result), doubts))
     evidence = replace(evidence, notes=every_note, non_geometric=usable)
-    return replace(result, geometry=replace(geometry, verdict=judge(evidence)))
+    verdict = _judge_setup(result, evidence) if result.is_setup_only else judge(evidence)
+    return replace(result, geometry=replace(geometry, verdict=verdict))
+
+
+def _judge_setup(result: Calibration, evidence: Evidence) -> Verdict:
+    """Judge frames and targets: collect which of their parameters the rows leave open, and how certain the others are.
+
+    The uncertainty is the largest half-width of a 95 % interval, of a length [m] and of an angle [rad].
+    """
+    model = result.geometry.model
+    of_setup = model.family(FRAME, TARGET)
+    open_ones = of_setup & ~result.trust.observability.identifiable
+    located = {}
+    for unit in ("m", "rad"):
+        halves = [
+            0.5 * (estimate.high - estimate.low)
+            for estimate, parameter, is_place in zip(
+                result.geometry.parameters, model.parameters, of_setup, strict=True
+            )
+            if is_place and parameter.unit == unit
+        ]
+        if halves:
+            located[f"located_{unit}"] = max(halves)
+    m, rows = result.fit.measurements, result.rows
+    chosen = m.estimation.copy()
+    chosen[np.flatnonzero(chosen)[evidence.outliers]] = False
+    return judge_setup(
+        evidence,
+        Errors.of(rows.residual_calibrated[chosen], rows.channels.select(chosen)),
+        [name for name, is_open in zip(model.names, open_ones, strict=True) if is_open],
+        Reason.of(
+            Why.SETUP_LOCATED,
+            **located,
+            after=evidence.after,
+            method=evidence.calibrated.method,
+            outliers=evidence.flagged,
+        ),
+    )
 
 
 def _collect_evidence(
