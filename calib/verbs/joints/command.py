@@ -98,7 +98,7 @@ def joints(
         measured = MeasuredThere(fitted, rows, cell, arm.joint_names, pose)
     found = joint_values(shown, table.T_base_flange, measured)
 
-    names = [f"row {table.pose.tolist().index(p) + 1}" for p in range(len(found.q))]
+    rows_of_poses = [table.pose.tolist().index(p) + 1 for p in range(len(found.q))]
     withheld = not found.unique.all() and not accept
     if output is not None and not withheld:
         content = table.with_joints(arm.joint_names, found.q, [
@@ -107,8 +107,8 @@ def joints(
         write_atomically(output, content, overwrite=force)
     if not quiet:
         written = [] if withheld else written_lines(output)
-        typer.echo("\n".join([*joints_text(shown, found, names), *written]))
+        typer.echo("\n".join([*joints_text(shown, found, rows_of_poses), *written]))
     if output is not None and withheld:
         raise VerdictError(
-            f"{not_unique_text(found, names)} No table was written; --accept writes the likeliest values."
+            f"{not_unique_text(found, rows_of_poses)} No table was written; --accept writes the likeliest values."
         )

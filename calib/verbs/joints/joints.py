@@ -38,8 +38,8 @@ _DETOUR = 0.5 * np.pi
 #: too: a pose alone may draw a fit that far.
 _MET = 30.0
 
-#: Errors of the robot by which branches are told apart.
-_MODEL = "dh"
+#: Errors of the robot by which branches are told apart: all that its geometry can have.
+_MODEL = "placement"
 
 #: The most rounds in which solutions are exchanged.
 _ROUNDS = 5
@@ -84,7 +84,8 @@ class MeasuredThere(Value):
             rows, setup = rows_and_setup(self.robot, self._at(q), self.cell)
             cell = replace(self.cell, model=_MODEL)
             distances = known_distances(cell, setup)
-            task = Task(self.robot, cell, setup, _MODEL, distances, allow_absent=True)
+            # A pose at another solution would be an outlier, without which all others are likelier.
+            task = Task(self.robot, cell, setup, _MODEL, distances, robust=False, allow_absent=True)
             return fit(task, rows), rows
         except (MeasurementError, SolverError):
             return None

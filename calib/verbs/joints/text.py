@@ -23,13 +23,13 @@ _DECIDED = {
 }
 
 
-def joints_text(controller: Robot, found: JointValues, names: Sequence[str]) -> list[str]:
+def joints_text(controller: Robot, found: JointValues, rows: Sequence[int]) -> list[str]:
     """Word what was found, as paragraphs with lines of at most 100 columns.
 
     Args:
         controller: The robot as its controller has it.
         found: The joint values.
-        names: Names of the poses, such as the row where each comes first.
+        rows: Number of the row where each pose comes first, from 1.
     """
     counts = found.counts
     some = f"{counts.min()} to {counts.max()}" if counts.min() < counts.max() else f"{counts[0]}"
@@ -45,7 +45,7 @@ def joints_text(controller: Robot, found: JointValues, names: Sequence[str]) -> 
             f"Joint values are unique: {_DECIDED[found.decided_by].format(lead=lead)}."
         )
     else:
-        sentences.append(not_unique_text(found, names))
+        sentences.append(not_unique_text(found, rows))
     if found.open_turns:
         sentences.append(
             f"{choices(found.open_turns)} may be a whole turn away at all poses; the values nearest to zero were "
@@ -54,10 +54,11 @@ def joints_text(controller: Robot, found: JointValues, names: Sequence[str]) -> 
     return [fill(sentence) for sentence in sentences]
 
 
-def not_unique_text(found: JointValues, names: Sequence[str]) -> str:
+def not_unique_text(found: JointValues, rows: Sequence[int]) -> str:
     """Word that joint values are not unique, at which poses, and what tells them apart, in one line."""
-    open_poses = [name for name, unique in zip(names, found.unique, strict=True) if not unique]
-    where = f"at {plural(len(open_poses), 'pose')} ({choices(open_poses, limit=_LISTED)})"
+    numbers = [str(row) for row, unique in zip(rows, found.unique, strict=True) if not unique]
+    listed = ", ".join(numbers[:_LISTED]) + (" ..." if len(numbers) > _LISTED else "")
+    where = f"at {plural(len(numbers), 'pose')} (row{'s' * (len(numbers) > 1)} {listed})"
     remedy = "state the limits of the joints, or give what was measured there (--camera, --board)"
     if np.isfinite(found.lead) or found.decided_by:
         remedy = "state the limits of the joints in the URDF, or add poses with other wrists"
