@@ -93,7 +93,7 @@ SETS = (
 
 def pose(rotation_vector: ArrayLike, position: ArrayLike) -> Array:
     """Return a pose (4, 4) of a rotation vector [rad] and a position [m]."""
-    T = np.eye(4)
+    T: Array = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(rotation_vector).as_matrix()
     T[:3, 3] = position
     return T
@@ -121,9 +121,9 @@ class Scene:
         inverse = np.linalg.inv(T_base_flange)
         T_from_to = inverse if self.case.on_hand else T_base_flange
         T = np.linalg.inv(T_camera) @ T_from_to @ T_board
-        points = np.einsum("nij,kj->nki", T[:, :3, :3], CORNERS) + T[:, None, :3, 3]
+        points: Array = np.einsum("nij,kj->nki", T[:, :3, :3], CORNERS) + T[:, None, :3, 3]
         fx, fy, cx, cy = LENS + change[12:]
-        return points[..., :2] / points[..., 2:] * [fx, fy] + [cx, cy]
+        return np.asarray(points[..., :2] / points[..., 2:] * [fx, fy] + [cx, cy])
 
     def bound(self) -> Array:
         """Return the least variance of the twelve coordinates of mount and board, (12,), in [m^2] and [rad^2]."""
