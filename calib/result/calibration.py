@@ -68,8 +68,8 @@ class Calibration(Value):
         fit              measurements and solved problem; fit_in_memory: the same, None if read from a file
 
     At hand without their part: ``verdict``, ``errors``, ``cross_validation``, ``new_point``, ``parameters``,
-    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``. ``run`` is the id that all files of the result
-    carry.
+    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``; ``is_setup_only`` if these were all that was
+    sought. ``run`` is the id that all files of the result carry.
     """
 
     #: The robot as given

@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.loading import load
 from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile
 from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.verb import verb
-from calib.errors import CalibError, VerdictError
 
 
 @verb("""Compute joint values from poses of the flange, by inverse kinematics of the controller's model.
@@ -71,44 +69,22 @@ def joints(
     quiet: Quiet = False,
 ) -> None:
     """Read the poses, solve them, decide between the solutions, and write the table with joint values."""
-    from calib.basics.files import write_atomically
-    from calib.basics.tables import Table
-    from calib.robot.robot import Robot
-    from calib.verbs.joints.joints import MeasuredThere, joint_values
-    from calib.verbs.joints.pose_table import PoseTable
-    from calib.verbs.joints.text import joints_text, not_unique_text
+    from calib.verbs.joints.joint_table import joints as joints_of_table
+    from calib.verbs.joints.text import joints_text
 
     check_outputs([output], [robot, data, controller, cell_options.file], force=force)
-    cell = cell_options.cell()
-    table = PoseTable.read(Table.read(data), column_options.parsed())
-    arm = Robot.load(robot, poses_in, poses_of, held=cell.held, coupling=cell.coupling)
-    shown = arm
-    if controller is not None:
-        shown = Robot.load(controller, poses_in, poses_of)
-        if len(shown.joint_names) != len(arm.joint_names):
-            raise CalibError(
-                f"'{controller}' has {len(shown.joint_names)} joints between '{shown.base}' and '{shown.tip}', and "
-                f"'{robot}' {len(arm.joint_names)} between '{arm.base}' and '{arm.tip}'. Name the frame of the poses "
-                "with --poses-in and the link with --poses-of."
-            )
-    measured = None
-    if table.measures and (cell.base is not None or cell.tip is not None):
-        fitted = load(robot, cell, arm.joint_names)
-        rows, pose = table.measurements(cell.kind)
-        measured = MeasuredThere(fitted, rows, cell, arm.joint_names, pose)
-    found = joint_values(shown, table.T_base_flange, measured)
-
-    rows_of_poses = [table.pose.tolist().index(p) + 1 for p in range(len(found.q))]
-    withheld = not found.unique.all() and not accept
-    if output is not None and not withheld:
-        content = table.with_joints(arm.joint_names, found.q, [
-            name for name, kind in arm.joint_types.items() if kind == "prismatic"
-        ])  # fmt: skip
-        write_atomically(output, content, overwrite=force)
+    found = joints_of_table(
+        robot,
+        data,
+        cell=cell_options.cell(),
+        controller=controller,
+        poses_in=poses_in,
+        poses_of=poses_of,
+        columns=column_options.parsed(),
+    )
     if not quiet:
-        written = [] if withheld else written_lines(output)
-        typer.echo("\n".join([*joints_text(shown, found, rows_of_poses), *written]))
-    if output is not None and withheld:
-        raise VerdictError(
-            f"{not_unique_text(found, rows_of_poses)} No table was written; --accept writes the likeliest values."
-        )
+        typer.echo("\n".join(joints_text(found.controller, found.values, found.first_rows)))
+    if output is not None:
+        found.write(output, overwrite=force, accept=accept)
+        if not quiet:
+            typer.echo("\n".join(written_lines(output)))
