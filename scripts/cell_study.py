@@ -225,7 +225,7 @@ def errors_through_files(study: Study, result: Calibration, rng: np.random.Gener
 def run_exact(_arguments: argparse.Namespace) -> Iterator[str]:
     """Yield what is recovered without noise."""
     rng = np.random.default_rng(45)
-    studies = {
+    studies: dict[str, Callable[[], Study]] = {
         "tiago_dual, points": lambda: points_on_hands("tiago_dual", "base_footprint", rng, 0.0),
         "tiago_dual, pixels": lambda: boards_on_hands("tiago_dual", "head_2_link", rng, 0.0),
         "tiago_dual, contacts": lambda: clasp("tiago_dual", rng),

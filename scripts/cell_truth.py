@@ -101,11 +101,12 @@ class TrueCell:
         if frame not in self._postures:
             return values
         around = self._postures[frame]
-        return around + _AROUND * (values - around)
+        near: Array = around + _AROUND * (values - around)
+        return near
 
     def configuration(self, values: Array) -> Array:
         """Return Pinocchio's configuration of joint values, (n,)."""
-        q = pin.neutral(self.true)
+        q: Array = pin.neutral(self.true)
         for name, value in zip(self.joints, values, strict=True):
             joint = self.true.joints[self.true.getJointId(name)]
             if joint.nq == 1:
@@ -208,7 +209,7 @@ class TrueCell:
         towards = -T.rotation[:, 2] @ (P.mean(axis=0) / np.linalg.norm(P.mean(axis=0)))
         if np.any(P[:, 2] < 0.1) or P[:, 2].max() > _FARTHEST or abs(towards) < _STEEPEST:
             return None
-        u = FOCAL * P[:, :2] / P[:, 2:] + np.array(SIZE) / 2.0
+        u: Array = FOCAL * P[:, :2] / P[:, 2:] + np.array(SIZE) / 2.0
         return u if np.all((u > 0.0) & (u < SIZE)) else None
 
     def contacts(
@@ -240,7 +241,8 @@ class TrueCell:
                 change = -np.linalg.pinv(J) @ p
                 values = values + change * min(1.0, 0.3 / max(np.abs(change).max(), 1e-12))
             if np.abs(p).max() < 1e-13 and np.abs(values).max() < LARGEST + 1.0:
-                return values
+                reached: Array = values
+                return reached
 
     def _table(
         self, q: Array, frame: str, target: str, kind: str, **measured: object

@@ -408,19 +408,19 @@ class Cell(Value):
             "the robot. Sets: {models}. Append families of errors with +: {families} (dh+gain).",
         ),
     )
-    #: Names of parameters that stay at their nominal values.
+    #: Names of parameters, joints and links that stay at their nominal values, see `calib.model.frozen`.
     frozen: tuple[str, ...] = key(
         "freeze",
         NAMES,
-        "Parameters that are kept at their nominal values.",
+        "What is kept at its nominal value: parameters, all errors of a joint by its name, or the shape of a link.",
         default=(),
         absent="none",
         option=Option(
             "--freeze",
             group="fit",
-            metavar="PARAMETER",
+            metavar="NAME",
             type=list[str],
-            help="Keep this parameter at its nominal value.",
+            help="Keep a parameter, a joint or a link at its nominal value.",
             merge=add_entries,
         ),
     )

@@ -167,7 +167,8 @@ def _displacements(residuals: Residuals, f: int) -> tuple[Array, Array]:
     derivative = rows.derivative(kinematics.linearised(np.zeros(len(model)), rows.samples))
     place = setup.places[0][f]
     by_place = derivative[:, :, [p.place == place for p in model.parameters]]
-    sightings = setup.sightings(fitted.task.robot.poses(rows.joints), rows.samples)
+    T_base_tip = fitted.task.robot.poses(rows.joints, rows.samples.chain)
+    sightings = setup.sightings(T_base_tip, rows.samples)
     by_focus = rows.derivative_by_internals(sightings)[:, :, _FOCUS]
     return by_place * of_camera, by_focus * of_camera
 

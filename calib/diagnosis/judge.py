@@ -54,7 +54,7 @@ def judge(evidence: Evidence) -> Verdict:
     before, after, validation = evidence.before, evidence.after, evidence.validation
 
     # Errors that no arm has: the input must be wrong, and little else about such a fit means anything.
-    far = _is_absurd(before) and evidence.largest > _TOO_FAR
+    far = is_absurd(before) and evidence.largest > _TOO_FAR
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
     noisy = absurd_noise(evidence.noise)
     absurd = [
@@ -156,7 +156,7 @@ def _against(evidence: Evidence) -> list[Reason]:
     worse = replace(_many_outliers(evidence), why=Why.WORSE_WITH_OUTLIERS)
     first = _applicable(
         (nothing, Reason.of(Why.NOTHING_TO_GAIN, before=evidence.before)),
-        (_is_absurd(evidence.after), Reason.of(Why.STILL_FAR_OFF, **both)),
+        (is_absurd(evidence.after), Reason.of(Why.STILL_FAR_OFF, **both)),
         (hopeless, _better(Why.NO_URDF_HOLDS, evidence)),
         (too_few, Reason.of(Why.TOO_FEW, **both | counts)),
         (evidence.gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
@@ -193,7 +193,7 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
     about_gain = _applicable(
         (usable and much_remains, _better(Why.MUCH_REMAINS, evidence)),
         (usable and may_be_chance, Reason.of(Why.MAY_BE_CHANCE, gain=evidence.gain)),
-        (_is_absurd(before), Reason.of(Why.FAR_OFF_BEFORE, before=before)),
+        (is_absurd(before), Reason.of(Why.FAR_OFF_BEFORE, before=before)),
         (
             usable and evidence.unpredictable,
             Reason.of(Why.UNKNOWN_ELSEWHERE, **_over_limits(evidence)),
@@ -316,8 +316,12 @@ def _better(why: Why, evidence: Evidence) -> Reason:
     return Reason.of(why, **values)
 
 
-def _is_absurd(errors: Errors) -> bool:
-    """Return whether the rms error in a unit other than of orientations is beyond any uncalibrated arm."""
+def is_absurd(errors: Errors) -> bool:
+    """Return whether the rms error in a unit other than of orientations is beyond any uncalibrated arm.
+
+    Args:
+        errors: Errors of a robot.
+    """
     return any(_exceeds(errors[unit].rms, unit) for unit in errors.units)
 
 

@@ -186,7 +186,7 @@ def mistakes_of_pictures(robot: Robot, cell: Cell, table: Measurements) -> tuple
         return ()
     is_view = rows.has_views[first]
     poses, first = poses.select(is_view), first[is_view]
-    T_base_tip = robot.poses(rows.joints[first])
+    T_base_tip = robot.poses(rows.joints[first], poses.samples.chain)
     result = []
     pairs = np.unique(np.column_stack([poses.samples.frame, poses.samples.target]), axis=0)
     for f, t in pairs.tolist():
@@ -304,7 +304,7 @@ def _late(robot: Robot, setup: Setup, q: Array, poses: Rows) -> Reason | None:
 
     def error(share: float, undo: Undo) -> float:
         """Return the rms error of the views with the share of the moves undone [m]."""
-        tips = robot.poses(undo(q, share))
+        tips = robot.poses(undo(q, share), poses.samples.chain)
         placed = register_all_rows(tips, setup, poses, tolerance=_TOLERANCE)
         return rms(_errors(placed, tips, poses))
 
@@ -325,7 +325,7 @@ def _late(robot: Robot, setup: Setup, q: Array, poses: Rows) -> Reason | None:
 
 
 def _old_values(q: Array, share: float) -> Array:
-    """Return joint values that were read a share of each move too early: q_i + s m_i, with the moves m of the result."""
+    """Return joint values that were read a share of each move too early: q_i + s m_i, with the result's moves m."""
     result = q.copy()
     for i in range(1, len(q)):
         result[i] = (q[i] - share * result[i - 1]) / (1.0 - share)

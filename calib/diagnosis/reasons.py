@@ -110,6 +110,10 @@ class Why(str, Enum):
     NOISE_ABSURD = "noise_absurd", Role.WRONG_INPUT
     ORIENTATION_ABSURD = "orientation_absurd", Role.WRONG_INPUT
 
+    # Frames and targets are not located
+    SETUP_UNDETERMINED = "setup_undetermined", Role.AGAINST
+    SETUP_UNSURE = "setup_unsure", Role.CARE
+
     # The corrected robot is not better
     NOTHING_TO_GAIN = "nothing_to_gain", Role.AGAINST, Group.NOT_SEEN
     STILL_FAR_OFF = "still_far_off", Role.AGAINST
@@ -177,6 +181,7 @@ class Why(str, Enum):
     CAMERA_TOO_ROUGH = "camera_too_rough", Role.IMPROVE
 
     # Gains and information
+    SETUP_LOCATED = "setup_located", Role.INFORMATION
     GAIN = "gain", Role.INFORMATION
     VALIDATION_GAIN = "validation_gain", Role.INFORMATION
     LARGER_MODEL = "larger_model", Role.INFORMATION
@@ -185,6 +190,7 @@ class Why(str, Enum):
     CREEPS = "creeps", Role.INFORMATION
     ONE_SIDED = "one_sided", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
+    ALREADY_CORRECTED = "already_corrected", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
     OTHER_END = "other_end", Role.INFORMATION

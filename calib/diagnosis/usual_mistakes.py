@@ -686,7 +686,7 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
     changes = np.linspace(-reach, reach, _TRIED)
     q[:, joint] += np.tile(changes, len(rows))
     repeated = rows.select(np.repeat(every, _TRIED))
-    seen = registered.sightings(robot.poses(q), repeated.samples)
+    seen = registered.sightings(robot.poses(q, repeated.samples.chain), repeated.samples)
     squares = np.sum(repeated.residual(seen) ** 2, axis=1)
     nearest = np.argmin(squares.reshape(-1, _TRIED), axis=1)
     return with_joints(rows, q[every * _TRIED + nearest])

@@ -15,7 +15,7 @@ from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
-from calib.data.cell import Cell
+from calib.data.cell import AUTO, Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import PREDICTS
@@ -24,6 +24,7 @@ from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.picture_mistakes import mistakes_of_pictures
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
+from calib.errors import ModelError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.board_ends import numbered_from_one_end
 from calib.fit.registration.mounts import with_mounts_found
@@ -45,6 +46,7 @@ from calib.result.joint_zeros import joint_zeros
 from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
 from calib.result.result_optics import result_optics
 from calib.result.table_fits import TableFits, fit_table
+from calib.robot.flange import is_flange_robot
 from calib.robot.robot import Robot
 
 #: Corners to estimate from that are all fitted.
@@ -108,6 +110,8 @@ def calibrate(
     check_callable("progress", progress)
     if isinstance(model, str):
         stated = replace(stated, model=model)
+    if is_flange_robot(arm.joint_names):
+        stated, model = _of_flange_poses(stated, model), None
     measured = measured.without_copies()
     if arm.mounts:
         rows, setup = rows_and_setup(arm, measured, stated)
@@ -186,6 +190,20 @@ def _with_fewer_corners(measurements: Measurements) -> tuple[Measurements, tuple
         return m, ()
     reason = Reason.of(Why.CORNERS_THINNED, corners=int(np.sum(fitted)), kept=left)
     return m.select(kept), (reason,)
+
+
+def _of_flange_poses(cell: Cell, model: str | Sequence[Parameter] | None) -> Cell:
+    """Return the cell with the only model for poses of the flange in place of joint values, which is ``frames``.
+
+    ModelError if another one is named: such poses know nothing of joints.
+    """
+    named = cell.model if model is None else model
+    if named not in (AUTO, "frames"):
+        raise ModelError(
+            "The table has poses of the flange in place of joint values, which tell nothing of a joint's errors: the "
+            "model is 'frames'. To correct a robot, compute its joint values first: calib joints ROBOT TABLE."
+        )
+    return replace(cell, model="frames")
 
 
 def _found_drift(measurements: Measurements, fits: TableFits) -> Array | None:

@@ -218,6 +218,12 @@ SENTENCES = {
     "scale (the size of a printed board, a tracker's temperature, the unit).",
     Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no {family} does. Are "
     "the masses, the payload and the direction of gravity right?",
+    Why.SETUP_UNDETERMINED: "These poses do not determine {names}: turn the hand about two axes or more, by 30 deg or "
+    "more each, or state what is known of frame and target.",
+    Why.SETUP_UNSURE: "Rows that the fit has not seen are off by {after}, those that it has by {before}: there are too "
+    "few poses for what is estimated. Add poses.",
+    Why.SETUP_LOCATED: "Frames and targets are located to {located} (95 %, the least certain of them). On held-out "
+    "rows ({method}{outliers_aside}) the error is {after}, the robot's own errors in it.",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the non-geometric model '{model}' the error on held-out rows is {after} "
     "(verdict: {use}). No URDF can represent it{used_by}.",
@@ -237,14 +243,16 @@ SENTENCES = {
     "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
     "scale is known better, say so: --instrument tracker, or in the cell file sigma_scale_percent or, once a known "
     "length was checked, scale_certified = true.",
+    Why.ALREADY_CORRECTED: "The robot given is a corrected URDF of run {run}{its_verdict}: changes count from it, and "
+    "the priors are centred on it, their sizes estimated from these rows.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
     Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
     "back by 360 deg; the URDF's limits decide.",
     Why.OTHER_END: "The board looks the same from both ends: in {pictures_off} its corners were numbered from the end "
     "that the robot's motion shows to be the other one, first in {pictures_named}.",
-    Why.CORNERS_THINNED: "Of {corners} corners {kept} were fitted, evenly over pictures and board: those of one picture "
-    "share the robot's error there.",
+    Why.CORNERS_THINNED: "Of {corners} corners {kept} were fitted, evenly over pictures and board: those of one "
+    "picture share the robot's error there.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} the error falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
@@ -443,6 +451,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "with_noise": "",
         "if_exact": "do not state it as exact, and " if values.get("exact") else "",
         "rows_aside": "",
+        "located": " and ".join(sizes_of(values, "located", ".2g")),
+        "its_verdict": f", whose verdict was {values['verdict']}" if values.get("verdict") else "",
         "named": "",
         "of_station": "",
         "ranges": _ranges(values),
@@ -479,6 +489,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         words["named"] = f" '{values['target']}'"
     if values.get("station"):
         words["of_station"] = f" of station '{values['station']}'"
+    if isinstance(values.get("names"), Sequence):
+        words["names"] = choices(values["names"], limit=12)
     if "rows" in values and "joints" in values:
         words |= _sole_postures(values["rows"], values["joints"])
     if words["less_noise"] and "model" in values:

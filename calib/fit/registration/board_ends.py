@@ -84,7 +84,8 @@ def numbered_from_one_end(robot: Robot, table: Measurements, cell: Cell) -> Meas
     if not _alike_targets(table, cell):
         return table
     rows, setup = rows_and_setup(robot, table, cell)
-    return with_ends_of(table, cell, rows, setup.with_given_fixed(), robot.poses(rows.joints))
+    T_base_tip = robot.poses(rows.joints, rows.samples.chain)
+    return with_ends_of(table, cell, rows, setup.with_given_fixed(), T_base_tip)
 
 
 def with_ends_of(

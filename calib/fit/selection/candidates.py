@@ -147,6 +147,8 @@ def check_parameter_names(task: Task) -> None:
     others = ("zeros",) if task.robot.is_tree else ("zeros", "dh", "hayati")
     for model in (largest, *others):
         known |= {*replace(without_frozen, model=model).error_model().names}
+    urdf = task.robot.urdf
+    known |= {*cell.frozen} & {*urdf.links, *(joint.name for joint in urdf.joints)}
     unknown = sorted(named - known)
     if unknown:
         raise ModelError(
