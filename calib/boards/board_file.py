@@ -89,17 +89,22 @@ def _board_of_kalibr(data: bytes, path: Path) -> Board:
     kind = table.get("target_type") if isinstance(table, dict) else None
     if kind not in _KALIBR_KEYS:
         raise CalibError(
-            f"{path}: 'target_type' is {kind!r}; of Kalibr's targets calib reads {choices(_KALIBR_KEYS)}. Describe another "
-            "board in a TOML file: calib board --paper none -o board."
+            f"{path}: 'target_type' is {kind!r}; of Kalibr's targets calib reads {choices(_KALIBR_KEYS)}. Describe "
+            "another board in a TOML file: calib board --paper none -o board."
         )
     wanted = _KALIBR_KEYS[kind]
     numbers = {name: table.get(name) for name in wanted}
     wrong = [name for name, value in numbers.items() if not is_number(value) or value <= 0.0]
     if wrong:
         raise CalibError(
-            f"{path}: '{wrong[0]}' is {numbers[wrong[0]]!r}; a target '{kind}' has the numbers {choices(wanted)}, above 0."
+            f"{path}: '{wrong[0]}' is {numbers[wrong[0]]!r}; a target '{kind}' has the numbers {choices(wanted)}, above "
+            "0."
         )
     columns, rows, side, other = (numbers[name] for name in wanted)
+    if kind == "checkerboard" and side != other:
+        raise CalibError(
+            f"{path}: its squares are {side} m wide and {other} m high; calib needs squares."
+        )
     try:
         if kind == "aprilgrid":
             return Board(
@@ -110,10 +115,6 @@ def _board_of_kalibr(data: bytes, path: Path) -> Board:
                 square=side * (1.0 + other),
                 marker=side,
                 dictionary="DICT_APRILTAG_36h11",
-            )
-        if side != other:
-            raise CalibError(
-                f"its squares are {side} m wide and {other} m high; calib needs squares."
             )
         # Kalibr counts inner corners.
         return Board(
