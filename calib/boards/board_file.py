@@ -97,8 +97,8 @@ def _board_of_kalibr(data: bytes, path: Path) -> Board:
     wrong = [name for name, value in numbers.items() if not is_number(value) or value <= 0.0]
     if wrong:
         raise CalibError(
-            f"{path}: '{wrong[0]}' is {numbers[wrong[0]]!r}; a target '{kind}' has the numbers {choices(wanted)}, above "
-            "0."
+            f"{path}: '{wrong[0]}' is {numbers[wrong[0]]!r}; a target '{kind}' has the numbers {choices(wanted)}, "
+            "above 0."
         )
     columns, rows, side, other = (numbers[name] for name in wanted)
     if kind == "checkerboard" and side != other:
