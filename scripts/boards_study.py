@@ -329,9 +329,54 @@ def drawing(kind: Kind) -> Array:
     return kind.draw(kind.board)
 
 
+@dataclass(frozen=True)
+class Figures:
+    """What was found of a board in its pictures."""
+
+    #: Share of the pictures in which it is used.
+    used: float
+    #: Share of its corners in view that were found in these.
+    found: float
+    #: Error of corners, 2-D: rms, and the 95th percentile [px].
+    rms: float
+    most: float
+    #: Size of the errors over the stated standard deviations, by the medians.
+    over_sigma: float
+
+
+def measure(kind: Kind, pictures: int, tilt: float | None, rng: np.random.Generator) -> Figures:
+    """Photograph a board, tilted by an angle [deg] or any from 0 to 60 (None), and search the pictures for it."""
+    board = kind.board
+    used, found, shown, errors, sigmas = 0, 0, 0, [], []
+    for _ in range(pictures):
+        angle = rng.uniform(0, 60) if tilt is None else tilt
+        image, true, in_view = shoot(kind, np.radians(angle), rng)
+        _, (view,) = search_image(Search((board,), 12), as_it_is(image))
+        if not view.is_used:
+            continue
+        used += 1
+        found += int(in_view[view.ids].sum())
+        shown += int(in_view.sum())
+        misses = [view.pixels - true[order[view.ids]] for order in board.orders_alike]
+        errors.append(min(misses, key=lambda miss: float(np.sum(miss**2))))
+        sigmas.append(view.sigma)
+    error = np.concatenate(errors) if errors else np.full((1, 2), np.nan)
+    sigma = np.concatenate(sigmas) if sigmas else np.full(1, np.nan)
+    square = np.sum(error**2, axis=1)
+    # The median of the squares of two normal numbers is 2 log 2.
+    over_sigma = np.sqrt(np.median(square / sigma**2) / (2.0 * np.log(2.0)))
+    return Figures(
+        used / pictures,
+        found / max(shown, 1),
+        float(np.sqrt(np.mean(square))),
+        float(np.sqrt(np.quantile(square, 0.95))),
+        float(over_sigma),
+    )
+
+
 def main() -> None:
     """Photograph each board, search it, and print what was found."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--pictures", type=int, default=40, help="pictures of each board")
     parser.add_argument("--board", choices=KINDS, help="one board only")
     parser.add_argument("--tilt", type=float, help="this tilt only [deg]; default: 0 to 60")
@@ -341,38 +386,19 @@ def main() -> None:
     for name, kind in KINDS.items():
         if given.board not in (None, name):
             continue
-        board = kind.board
         rng = np.random.default_rng([given.seed, len(name)])
-        used, found, shown, errors, sigmas = 0, 0, 0, [], []
-        for _ in range(given.pictures):
-            tilt = rng.uniform(0, 60) if given.tilt is None else given.tilt
-            image, true, in_view = shoot(kind, np.radians(tilt), rng)
-            _, (view,) = search_image(Search((board,), 12), as_it_is(image))
-            if not view.is_used:
-                continue
-            used += 1
-            found += int(in_view[view.ids].sum())
-            shown += int(in_view.sum())
-            misses = [view.pixels - true[order[view.ids]] for order in board.orders_alike]
-            errors.append(min(misses, key=lambda miss: np.sum(miss**2)))
-            sigmas.append(view.sigma)
-        error = np.concatenate(errors) if errors else np.full((1, 2), np.nan)
-        sigma = np.concatenate(sigmas) if sigmas else np.full(1, np.nan)
-        size = np.linalg.norm(error, axis=1)
+        figures = measure(kind, given.pictures, given.tilt, rng)
         rows.append(
             [
                 name,
-                f"{100 * used / given.pictures:.0f} %",
-                f"{100 * found / max(shown, 1):.1f} %",
-                f"{np.sqrt(np.mean(size**2)):.3f}",
-                f"{np.quantile(size, 0.95):.3f}",
-                f"{np.sqrt(np.median(np.sum(error**2, axis=1) / (2 * sigma**2)) / np.log(2)):.2f}",
+                f"{100 * figures.used:.0f} %",
+                f"{100 * figures.found:.1f} %",
+                f"{figures.rms:.3f}",
+                f"{figures.most:.3f}",
+                f"{figures.over_sigma:.2f}",
             ]
         )
-    print_table(
-        ["board", "used", "corners", "rms [px]", "95 % [px]", "over sigma"],
-        rows,
-    )
+    print_table(["board", "used", "corners", "rms [px]", "95 % [px]", "over sigma"], rows)
 
 
 if __name__ == "__main__":

@@ -155,7 +155,7 @@ class Board:
         _MM,
         "Side of a marker or tag with its black border, or diameter of a circle, on the same print [mm].",
         default=0.0,
-        absent="needed, except for a chessboard",
+        absent="needed, except for a chessboard and for a body",
         json="marker_m",
         option=Option(
             "--marker",

@@ -12,10 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from calib.basics.files import read_bytes
 from calib.basics.records import Key, keys_of, parse_toml, read_parts, toml_lines, toml_values
+from calib.basics.units import is_number
 from calib.basics.value_forms import TEXT
-from calib.boards.board import CHARUCO, PATTERNS, Board
+from calib.boards.board import APRILGRID, CHARUCO, CHESSBOARD, PATTERNS, Board
 from calib.errors import CalibError, FileError, choices
 
 #: Names the file of a board that the other keys of a table correct.
@@ -30,6 +33,12 @@ _NEEDED = {
     "marker": "marker_mm",
     "dictionary": "dictionary",
     "tags": "tags",
+}
+
+#: Targets of Kalibr, and their keys: columns, rows, and two lengths.
+_KALIBR_KEYS = {
+    "aprilgrid": ("tagCols", "tagRows", "tagSize", "tagSpacing"),
+    "checkerboard": ("targetCols", "targetRows", "colSpacingMeters", "rowSpacingMeters"),
 }
 
 #: Attributes that only some patterns have.
@@ -47,16 +56,18 @@ def read_board(path: str | Path) -> Board:
     """Read the description of a board.
 
     Args:
-        path: The TOML file, in UTF-8.
+        path: The TOML file, in UTF-8; or a target of Kalibr, a file ``.yaml`` or ``.yml``.
 
     Returns:
         The board.
 
     Raises:
-        FileError: The file cannot be read or is not TOML.
+        FileError: The file cannot be read or is not TOML, or not YAML.
         CalibError: A key is unknown, missing or has a wrong value, or the description does not make a board.
     """
     data = read_bytes(path, "description of a board")
+    if Path(path).suffix.lower() in (".yaml", ".yml"):
+        return _board_of_kalibr(data, Path(path))
     try:
         table = parse_toml(data.decode("utf-8-sig"))
     except ValueError as error:
@@ -66,6 +77,55 @@ def read_board(path: str | Path) -> Board:
             f"{path}: '{_FILE}' names the description of a board in another file, but this is one itself."
         )
     return board_of_table(table, str(path))
+
+
+def _board_of_kalibr(data: bytes, path: Path) -> Board:
+    """Read a target of Kalibr, lengths in metres; FileError if it is not YAML, CalibError if it is no such target."""
+    try:
+        table = yaml.safe_load(data.decode("utf-8-sig"))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise FileError(f"{path}: this is not a YAML file: {reason}") from error
+    kind = table.get("target_type") if isinstance(table, dict) else None
+    if kind not in _KALIBR_KEYS:
+        raise CalibError(
+            f"{path}: 'target_type' is {kind!r}; of Kalibr's targets calib reads {choices(_KALIBR_KEYS)}. Describe "
+            "another board in a TOML file: calib board --paper none -o board."
+        )
+    wanted = _KALIBR_KEYS[kind]
+    numbers = {name: table.get(name) for name in wanted}
+    wrong = [name for name, value in numbers.items() if not is_number(value) or value <= 0.0]
+    if wrong:
+        raise CalibError(
+            f"{path}: '{wrong[0]}' is {numbers[wrong[0]]!r}; a target '{kind}' has the numbers {choices(wanted)}, "
+            "above 0."
+        )
+    columns, rows, side, other = (numbers[name] for name in wanted)
+    if kind == "checkerboard" and side != other:
+        raise CalibError(
+            f"{path}: its squares are {side} m wide and {other} m high; calib needs squares."
+        )
+    try:
+        if kind == "aprilgrid":
+            return Board(
+                name=path.stem,
+                pattern=APRILGRID,
+                columns=int(columns),
+                rows=int(rows),
+                square=side * (1.0 + other),
+                marker=side,
+                dictionary="DICT_APRILTAG_36h11",
+            )
+        # Kalibr counts inner corners.
+        return Board(
+            name=path.stem,
+            pattern=CHESSBOARD,
+            columns=int(columns) + 1,
+            rows=int(rows) + 1,
+            square=side,
+        )
+    except CalibError as error:
+        raise CalibError(f"{path}: {error}") from error
 
 
 def board_of_table(table: Mapping[str, Any], where: str, folder: str | Path = ".") -> Board:

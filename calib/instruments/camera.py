@@ -31,7 +31,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import Value
-from calib.boards.board import CHESSBOARD, Board
+from calib.boards.board import Board
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
@@ -134,9 +134,9 @@ class CameraInstrument(Instrument):
 
     def __post_init__(self) -> None:
         """Refuse limits that the board's pattern does not allow; raises `CalibError`."""
-        if self.board.pattern == CHESSBOARD and self.limits.share < 1.0:
+        if not self.board.markers and self.limits.share < 1.0:
             raise CalibError(
-                f"The board '{self.board.name}' is a plain chessboard, of which all corners must be in the image; "
+                f"The board '{self.board.name}' has no markers, so that all of its corners must be in the image; "
                 f"the share of {self.limits.share:g} is for boards with markers. Leave it out."
             )
 

@@ -182,3 +182,54 @@ def test_every_field_of_a_board_has_a_key_of_its_own():
     flags = [option.flag for _, row in rows for option in row.options]
     assert "--first-marker" in flags
     assert len(set(flags)) == len(flags)
+
+
+KALIBR = """
+target_type: 'aprilgrid' #gridtype
+tagCols: 6               #number of apriltags
+tagRows: 5
+tagSize: 0.088           #size of apriltag, edge to edge [m]
+tagSpacing: 0.3          #ratio of space between tags to tagSize
+"""
+
+KALIBR_CHESSBOARD = """
+target_type: 'checkerboard'
+targetCols: 6               #number of internal chessboard corners
+targetRows: 7
+rowSpacingMeters: 0.06
+colSpacingMeters: 0.06
+"""
+
+
+def test_targets_of_kalibr(tmp_path):
+    path = tmp_path / "april_6x5.yaml"
+    path.write_text(KALIBR)
+    board = read_board(path)
+    assert (board.name, board.pattern, board.columns, board.rows) == (
+        "april_6x5",
+        "aprilgrid",
+        6,
+        5,
+    )
+    assert (board.marker, board.square) == (0.088, pytest.approx(0.1144))
+    path.write_text(KALIBR_CHESSBOARD)
+    board = read_board(path)
+    assert (board.pattern, board.columns, board.rows, board.square) == ("chessboard", 7, 8, 0.06)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (KALIBR.replace("aprilgrid", "circlegrid"), "'circlegrid'"),
+        (KALIBR.replace("tagSize: 0.088", ""), "'tagSize' is None"),
+        (KALIBR.replace("0.3", "-0.3"), "'tagSpacing' is -0.3"),
+        (KALIBR_CHESSBOARD.replace("rowSpacingMeters: 0.06", "rowSpacingMeters: 0.05"), "squares"),
+        ("[1, 2", "not a YAML file"),
+        ("1", "'target_type' is None"),
+    ],
+)
+def test_what_is_no_target_of_kalibr(tmp_path, text, words):
+    path = tmp_path / "target.yaml"
+    path.write_text(text)
+    with pytest.raises(CalibError, match=words):
+        read_board(path)

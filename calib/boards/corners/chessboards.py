@@ -220,7 +220,7 @@ def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN
     if not is_seen:
         # The other detector takes minutes for a large picture that is soft.
         factor = max(1, -(-max(image.shape) // _LARGEST))
-        shape = (image.shape[1] // factor, image.shape[0] // factor)
+        shape = (max(1, image.shape[1] // factor), max(1, image.shape[0] // factor))
         small = cv2.resize(image, shape, interpolation=cv2.INTER_AREA)
         flags = (
             cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK

@@ -80,6 +80,8 @@ def find_circles(image: Any, board: Board) -> Circles | None:  # noqa: ANN401  8
         The circles; None if not all are seen.
     """
     cv2 = opencv()
+    if _AREA[1] * image.size <= board.columns * board.rows * _AREA[0]:
+        return None  # the picture has too few pixels for the circles
     parameters = cv2.SimpleBlobDetector_Params()
     parameters.minArea = _AREA[0]
     parameters.maxArea = _AREA[1] * image.size

@@ -257,7 +257,7 @@ def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
         return MIRRORED
     cv2 = opencv()
     for factor in _SMALLER:
-        size = (image.shape[1] // factor, image.shape[0] // factor)
+        size = (max(1, image.shape[1] // factor), max(1, image.shape[0] // factor))
         if _is_in(cv2.resize(image, size, interpolation=cv2.INTER_AREA), board):
             return BLURRED
     return BLURRED if blur_of(image) > _BLURRED else NO_BOARD

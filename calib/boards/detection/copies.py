@@ -84,8 +84,11 @@ def as_it_is(picture: Any) -> Copy:  # noqa: ANN401  8 or 16 bits
     """Return a picture (h, w) as it is; one of more than 8 bits stretched to all grey values."""
     if picture.dtype == np.uint8:
         return Copy("", np.asarray(picture, dtype=np.float64), picture)
-    low, high = np.quantile(picture, [_BEYOND, 1.0 - _BEYOND])
-    grey = (picture.astype(np.float64) - low) * (255.0 / max(high - low, 1.0))
+    values = picture.astype(np.float64)
+    finite = np.isfinite(values)
+    values = np.where(finite, values, np.median(values[finite]) if finite.any() else 0.0)
+    low, high = np.quantile(values, [_BEYOND, 1.0 - _BEYOND])
+    grey = (values - low) * (255.0 / (high - low if high > low else 1.0))
     return Copy.of("", grey)
 
 

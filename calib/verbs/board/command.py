@@ -173,6 +173,11 @@ def _measure(description: Path | None, measured: str) -> list[str]:
         raise CalibError(
             '--measured takes the description of the board: calib board board.toml --measured "249.3 mm"'
         )
+    if description.suffix.lower() != ".toml":
+        raise CalibError(
+            f"--measured corrects a description of calib, a TOML file, and not '{description}'. Correct the lengths in "
+            "that file by hand."
+        )
     board = read_board(description)
     scale = print_scale(board, measured)
     corrected = rescaled(board, scale)

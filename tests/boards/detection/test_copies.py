@@ -11,8 +11,16 @@ import pytest
 
 from calib.boards.board import Board
 from calib.boards.detection.copies import Copy, as_it_is, further_copies
-from calib.boards.detection.picture import ImageFile, Picture, Search, search_picture
+from calib.boards.detection.picture import (
+    ImageFile,
+    Picture,
+    Search,
+    search_image,
+    search_picture,
+)
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, TAG_BOARD, View, render
+
+CIRCLES = Board(pattern="circles", columns=5, rows=4, square=0.03, marker=0.015)
 
 VIEW = View(tilt=(30, 20, 15), levels=(0.0, 1.0), noise=0.0)
 
@@ -130,3 +138,19 @@ def test_an_evened_copy_is_as_bright_everywhere():
     left, right = evened[150:330, 200:300], evened[150:330, 340:440]
     assert left.mean() == pytest.approx(right.mean(), abs=10.0)
     assert left.std() == pytest.approx(right.std(), rel=0.2)
+
+
+@pytest.mark.parametrize("board", [CHARUCO_BOARD, CHESS_BOARD, CIRCLES], ids=lambda b: b.pattern)
+@pytest.mark.parametrize("shape", [(1, 1), (3, 200), (10, 10)], ids=str)
+def test_a_picture_of_a_few_pixels_shows_no_board(board, shape):
+    picture = np.random.default_rng(1).integers(0, 65536, shape).astype(np.uint16)
+    _, (view,) = search_image(Search((board,), 12), as_it_is(picture))
+    assert not view.is_used
+
+
+def test_pixels_that_are_not_numbers():
+    picture = np.array([[0.5, np.nan, 0.25], [np.inf, 0.75, 0.5]], dtype=np.float32)
+    copy = as_it_is(picture)
+    assert np.isfinite(copy.grey).all()
+    # The range of the others, 0.25 to 0.75, with the rest at the median.
+    np.testing.assert_allclose(copy.grey, [[127.5, 127.5, 0.0], [127.5, 255.0, 127.5]], atol=2.0)
