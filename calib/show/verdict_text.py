@@ -239,8 +239,8 @@ SENTENCES = {
     "back by 360 deg; the URDF's limits decide.",
     Why.OTHER_END: "The board looks the same from both ends: in {pictures_off} its corners were numbered from the end "
     "that the robot's motion shows to be the other one, first in {pictures_named}.",
-    Why.CORNERS_THINNED: "Of {corners} corners {kept} were fitted, evenly over pictures and board: those of one picture "
-    "share the robot's error there.",
+    Why.CORNERS_THINNED: "Of {corners} corners {kept} were fitted, evenly over pictures and board: those of one "
+    "picture share the robot's error there.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} the error falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
