@@ -107,7 +107,7 @@ def calibrate(
     if isinstance(model, str):
         stated = replace(stated, model=model)
     measured = numbered_from_one_end(arm, measured.without_copies(), stated)
-    measured, found, wrong = _without_mistakes_of_pictures(arm, stated, measured)
+    measured, found, wrong = without_mistakes_of_pictures(arm, stated, measured)
     measured, thinned = _with_fewer_corners(measured)
     found += thinned
     fits = fit_table(
@@ -138,10 +138,19 @@ def calibrate(
     return _assemble_validated(measured, fits, progress, tuple(before))
 
 
-def _without_mistakes_of_pictures(
+def without_mistakes_of_pictures(
     robot: Robot, cell: Cell, measurements: Measurements
 ) -> tuple[Measurements, tuple[Reason, ...], Reason | None]:
-    """Leave out the pictures that a mistake explains, and return these mistakes; and one of all rows, None without."""
+    """Leave out the pictures that a mistake explains.
+
+    Args:
+        robot: The nominal robot.
+        cell: Cameras and boards as given.
+        measurements: The table, in the order in which it was measured.
+
+    Returns:
+        The other rows, the mistakes of those that were left out, and a mistake of all rows; None if there is none.
+    """
     found: list[Reason] = []
     for find in (mistakes_of_pictures, changes_between_pictures):
         findings = find(robot, cell, measurements)
