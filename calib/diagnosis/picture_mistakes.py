@@ -325,7 +325,7 @@ def _late(robot: Robot, setup: Setup, q: Array, poses: Rows) -> Reason | None:
 
 
 def _old_values(q: Array, share: float) -> Array:
-    """Return joint values that were read a share of each move too early: q_i + s m_i, with the result's moves m."""
+    """Return joint values that were read a share of each move too early: q + s m, with the moves m of the result."""
     result = q.copy()
     for i in range(1, len(q)):
         result[i] = (q[i] - share * result[i - 1]) / (1.0 - share)

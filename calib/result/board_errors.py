@@ -13,7 +13,7 @@ the print.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -58,6 +58,15 @@ class BoardErrors(Value):
     def predicted(self) -> float:
         """Error of the predicted position in three dimensions, rms [m]."""
         return float(np.hypot(self.predicted_across, self.predicted_depth))
+
+
+def board_table(errors: BoardErrors) -> dict[str, float]:
+    """Return the figures by the keys of a file, ``"depth_m"``, ``"turn_rad"``."""
+    table: dict[str, float] = {}
+    for field in fields(errors):
+        unit = "" if field.name == "views" else "_rad" if field.name.startswith("turn") else "_m"
+        table[field.name + unit] = getattr(errors, field.name)
+    return table
 
 
 def board_errors(

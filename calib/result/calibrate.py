@@ -41,6 +41,7 @@ from calib.numerics.solvers import Solver
 from calib.result.calibration import Calibration
 from calib.result.collected_evidence import add_verdicts
 from calib.result.doubts import late_in_table, patterns_in_table
+from calib.result.fewer_corners import with_fewer_corners
 from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.joint_zeros import joint_zeros
 from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, Source, Trust
@@ -48,16 +49,6 @@ from calib.result.result_optics import result_optics
 from calib.result.table_fits import TableFits, fit_table
 from calib.robot.flange import is_flange_robot
 from calib.robot.robot import Robot
-
-#: Corners to estimate from that are all fitted.
-_MANY_CORNERS = 1500
-
-#: Of more about this number is, evenly over the pictures, and the fewest of a picture: twice those of a pose, and some.
-_ENOUGH_CORNERS = 1200
-_FEWEST_CORNERS = 12
-
-#: Steps of this share of the corners are spread evenly, however many pictures there are.
-_GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 
 
 @one_blas_thread()
@@ -117,8 +108,8 @@ def calibrate(
         rows, setup = rows_and_setup(arm, measured, stated)
         arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
     measured = numbered_from_one_end(arm, measured, stated)
-    measured, found, wrong = _without_mistakes_of_pictures(arm, stated, measured)
-    measured, thinned = _with_fewer_corners(measured)
+    measured, found, wrong = without_mistakes_of_pictures(arm, stated, measured)
+    measured, thinned = with_fewer_corners(measured)
     found += thinned
     fits = fit_table(
         arm,
@@ -148,10 +139,19 @@ def calibrate(
     return _assemble_validated(measured, fits, progress, tuple(before))
 
 
-def _without_mistakes_of_pictures(
+def without_mistakes_of_pictures(
     robot: Robot, cell: Cell, measurements: Measurements
 ) -> tuple[Measurements, tuple[Reason, ...], Reason | None]:
-    """Leave out the pictures that a mistake explains, and return these mistakes; and one of all rows, None without."""
+    """Leave out the pictures that a mistake explains.
+
+    Args:
+        robot: The nominal robot.
+        cell: Cameras and boards as given.
+        measurements: The table, in the order in which it was measured.
+
+    Returns:
+        The other rows, the mistakes of those that were left out, and a mistake of all rows; None if there is none.
+    """
     found: list[Reason] = []
     for find in (mistakes_of_pictures, changes_between_pictures):
         findings = find(robot, cell, measurements)
@@ -163,33 +163,6 @@ def _without_mistakes_of_pictures(
         if left_out:  # the other pictures tell the robot
             measurements = measurements.select(~np.isin(measurements.rows, left_out))
     return measurements, tuple(found), None
-
-
-def _with_fewer_corners(measurements: Measurements) -> tuple[Measurements, tuple[Reason, ...]]:
-    """Keep some corners of each picture if those to estimate from are very many, and say so; validation rows stay.
-
-    Those of one picture share the robot's error there, and a dozen determine where the board is. Each corner of the
-    board is kept as often as any other.
-    """
-    m = measurements
-    fitted = m.is_image & m.estimation
-    if np.sum(fitted) <= _MANY_CORNERS:
-        return m, ()
-    labels = [*zip(m.images, m.groups, m.targets, (q.tobytes() for q in m.joints), strict=True)]
-    views: dict[tuple[str, str, str, bytes], list[int]] = {}
-    for row in np.flatnonzero(fitted).tolist():
-        views.setdefault(labels[row], []).append(row)
-    each = max(_ENOUGH_CORNERS // len(views), _FEWEST_CORNERS)
-    kept = ~fitted
-    for k, rows in enumerate(views.values()):
-        count = min(each, len(rows))
-        places = (np.arange(count) + k * _GOLDEN_RATIO % 1.0) * len(rows) / count
-        kept[np.array(rows)[places.astype(int)]] = True
-    left = int(np.sum(kept & fitted))
-    if left == np.sum(fitted):
-        return m, ()
-    reason = Reason.of(Why.CORNERS_THINNED, corners=int(np.sum(fitted)), kept=left)
-    return m.select(kept), (reason,)
 
 
 def _of_flange_poses(cell: Cell, model: str | Sequence[Parameter] | None) -> Cell:

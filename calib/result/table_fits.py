@@ -159,7 +159,10 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
         reference = fit(task, rows)
     if name == reference.kinematics.model.name:
         return reference, None, candidates
-    geometry = fit(replace(task, model=name, allow_absent=True), rows, registered=reference.setup)
+    of_geometry = replace(task, model=name, allow_absent=True)
+    # Of images the corners and the lens, most of the parameters, hardly change with the robot's model.
+    near = (reference,) if np.any(rows.has_views) else ()
+    geometry = fit(of_geometry, rows, registered=reference.setup, near=near)
     return with_better_weights(geometry, rows, reference), reference, candidates
 
 

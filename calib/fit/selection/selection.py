@@ -149,7 +149,8 @@ def with_known_points(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Row
     """Return a task and its rows with internals of single points of targets known, as a fit estimated them.
 
     Every corner of a print has two errors of its own, often more than the robot has parameters. They hardly depend on
-    the robot's model, so candidates are compared with the corners where a first fit has them.
+    the robot's model, so candidates are compared with the corners where a first fit has them; of several cameras with
+    the lenses as well.
 
     Args:
         task: The task of other models.
@@ -163,10 +164,12 @@ def with_known_points(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Row
     estimated = fitted.kinematics.internals(fitted.estimate.x, rows.samples)
     if estimated is None or rows.samples.internals is None:
         return task, rows
-    of_points = [u for u in task.setup.internals if u.parameter.of_one_point]
+    # Of several cameras the lenses have more numbers than the robot, too.
+    several = len(np.unique(rows.samples.frame[rows.has_views])) > 1
+    of_points = [u for u in task.setup.internals if several or u.parameter.of_one_point]
     if not of_points:
         return task, rows
-    kept = [u for u in task.setup.internals if not u.parameter.of_one_point]
+    kept = [] if several else [u for u in task.setup.internals if not u.parameter.of_one_point]
     columns = sorted({c for u in of_points if (c := u.parameter.internal) is not None})
     values = rows.samples.internals.copy()
     values[:, columns] = estimated.values[:, columns]

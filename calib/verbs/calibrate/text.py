@@ -35,6 +35,7 @@ _NOTHING = 2e-3
 #: Labels of `facts` that tests and the report ask for.
 EXPECTED = "Expected error at a new point"
 POSE_NOISE = "Noise of poses"
+BOARD = "Board in three dimensions"
 SCATTER = "Scatter of repeats"
 PRIOR_STD = "Prior standard deviations"
 
@@ -107,6 +108,15 @@ def facts(c: Calibration) -> dict[str, str]:
                 f" Most of it is a scale error of the instrument of up to {100.0 * scale.bound:.2f} % in the "
                 "arm's lengths: if the scale is known better, say so in the cell file (instrument)."
             )
+
+    if c.geometry.board is not None:
+        b = c.geometry.board
+        result[BOARD] = (
+            f"predicted to {mm(b.predicted_across)} mm across and {mm(b.predicted_depth)} mm along the line of sight: "
+            f"rms of {b.views} held-out views, beyond their own noise ({mm(b.across_alone)} and "
+            f"{mm(b.depth_alone)} mm). "
+            f"Mean along it {mm(b.depth_bias)} ± {mm(b.depth_bias_std)} mm."
+        )
 
     if c.geometry.prior_std:
         sizes = []

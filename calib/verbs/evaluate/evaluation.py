@@ -22,6 +22,7 @@ from calib.data.measurements import Measurements
 from calib.data.record import BLANK, Record
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import CalibError, ModelError, choices
+from calib.fit.registration.board_ends import with_ends_of
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
@@ -29,6 +30,7 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Samples
 from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.errors import Errors
+from calib.result.board_errors import BoardErrors, board_errors
 from calib.result.fitted_model import NonGeometric
 from calib.robot.robot import Robot
 
@@ -73,10 +75,17 @@ class ImageFigures:
     mean_at_board: float
     p95_at_board: float
     largest_at_board: float
+    #: Errors of the boards' poses in three dimensions; None if no view determines one
+    board: BoardErrors | None = None
 
     @classmethod
     def of(
-        cls, residual: Array, scale: Array, rows: Rows, names: Sequence[str]
+        cls,
+        residual: Array,
+        scale: Array,
+        rows: Rows,
+        names: Sequence[str],
+        board: BoardErrors | None = None,
     ) -> ImageFigures | None:
         """Summarise the residuals of images.
 
@@ -85,6 +94,7 @@ class ImageFigures:
             scale: shape (N,), length that a pixel is at each corner [m/px]; NaN in rows that are not images.
             rows: The N rows.
             names: Name of the image of each row; without names, a pose has one image.
+            board: Errors of the boards' poses; None if no view determines one.
 
         Returns:
             The figures; None if no row is an image.
@@ -106,6 +116,7 @@ class ImageFigures:
             mean_at_board=float(lengths.mean()),
             p95_at_board=float(np.percentile(lengths, _PERCENTILE)),
             largest_at_board=float(lengths.max()),
+            board=board,
         )
 
 
@@ -248,6 +259,12 @@ def evaluate(
         model = replace(non_geometric, kinematics=kinematics)
         T_base_tip = model.tips(Samples.at(rows.joints, rows.samples.load, rows.samples.moves))
 
+    # Boards that look the same from both ends are numbered from the end that suits.
+    from_one_end = with_ends_of(table, known_cell, rows, setup.with_given_fixed(), T_base_tip)
+    if from_one_end.other_end:
+        table = from_one_end
+        rows, _ = rows_and_setup(arm, table, known_cell)
+
     # Frames and targets that were not given, and what only the other rows see of them.
     chosen = registration_rows(table)
     placed = nominal_setup(T_base_tip[chosen], setup, rows.select(chosen))
@@ -259,7 +276,8 @@ def evaluate(
     images = None
     if np.any(rows.is_image):
         scale = rows.lengths_per_unit(sightings)
-        images = ImageFigures.of(residual, scale, rows, table.images)
+        board = board_errors(rows, sightings, residual)
+        images = ImageFigures.of(residual, scale, rows, table.images, board)
     return Evaluation(
         robot=arm,
         measurements=table,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from calib.result.board_errors import board_table
 from calib.result.calibration_file import error_table, pose_table, versions
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.accuracy import Accuracy
@@ -38,6 +39,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
                 "mean_at_board_m": figures.mean_at_board,
                 "p95_at_board_m": figures.p95_at_board,
                 "max_at_board_m": figures.largest_at_board,
+                "board": None if figures.board is None else board_table(figures.board),
             }
     read = {"name": m.source, "sha256": m.sha256, "orientation": m.orientation or None}
     return {

@@ -204,6 +204,13 @@ def _images(e: Assessment) -> Iterator[Block]:
             "are at the board.",
             tight=True,
         )
+        yield tables.board_errors(e)
+        yield Paragraph(
+            "The pose of the board that each image alone shows against the predicted one. Alone: what the noise of its "
+            "corners makes of it. Predicted: what remains, the error of the prediction. Depth is along the line of "
+            "sight.",
+            tight=True,
+        )
 
 
 def _accuracy(e: Assessment) -> Iterator[Block]:

@@ -124,6 +124,23 @@ def image_errors(e: Assessment) -> Table:
     return Table("Corners of images", columns, rows, indent="  ")
 
 
+def board_errors(e: Assessment) -> Table:
+    """Tabulate the rms errors of boards across and along the line of sight; a row for each robot."""
+    rows: list[Row] = []
+    for who, evaluation in e.evaluations.items():
+        board = None if evaluation.images is None else evaluation.images.board
+        if board is not None:
+            across = (board.across, board.across_alone, board.predicted_across)
+            depth = (board.depth, board.depth_alone, board.predicted_depth)
+            rows.append((NAMES[who], *across, *depth, board.depth_bias))
+    columns = (
+        name_column("", 26),
+        *(residual_column(head, "m", 9) for head in ("across", "alone", "predicted")),
+        *(residual_column(head, "m", 9) for head in ("depth", "alone", "predicted", "bias")),
+    )
+    return Table("Boards in three dimensions [mm]", columns, rows, indent="  ")
+
+
 # Accuracy and repeatability
 
 

@@ -20,6 +20,7 @@ from calib.data.inputs import (
 )
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
+from calib.fit.registration.board_ends import numbered_from_one_end
 from calib.fit.registration.registration import register
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup, known_distances
@@ -48,6 +49,8 @@ class Inspection:
     source: str | None
     #: Parts of the cell that were put at a generic place: ``"target"``, ``"anchor"``
     assumed: tuple[str, ...] = ()
+    #: Pictures whose corners were numbered from the other end, see `Measurements.other_end`
+    other_end: tuple[str, ...] = ()
 
 
 def inspect(
@@ -77,6 +80,7 @@ def inspect(
     """
     assumed: tuple[str, ...] = ()
     source: str | None = None
+    other_end: tuple[str, ...] = ()
     if measurements is None:
         known = cell_of(cell)
         arm = robot_of(robot, known)
@@ -87,6 +91,8 @@ def inspect(
         # or of the print as a whole.
         boards = {name: replace(board, sigma_corner=0.0) for name, board in known.boards.items()}
         known = replace(known, boards=boards)
+        table = numbered_from_one_end(arm, table, known)
+        other_end = table.other_end
         rows, setup = rows_and_setup(arm, table, known)
         rows = rows.select(table.estimation)
         setup = register(arm.poses(rows.joints), setup, rows)
@@ -101,6 +107,7 @@ def inspect(
         poses=len(rows),
         source=source,
         assumed=assumed,
+        other_end=other_end,
     )
 
 

@@ -15,7 +15,7 @@ from calib.model.dh_table import dh_table
 from calib.robot.robot import Robot
 from calib.show.as_text import blocks_text
 from calib.show.blocks import Block, Bullets, Paragraph
-from calib.show.lines import deg, listed, mm
+from calib.show.lines import deg, listed, mm, plural
 from calib.show.robot_sentences import coupling_sentence, rows_sentence
 from calib.show.tables import Column, Table, name_column
 from calib.show.words import combination_text, joint_unit, with_unit
@@ -174,6 +174,12 @@ def _parameters(inspection: Inspection) -> Iterator[Block]:
     rank = f"rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
     indices = ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
     yield Paragraph(f"Identifiable from {poses}: {rank}")
+    if inspection.other_end:
+        yield Paragraph(
+            f"The board looks the same from both ends: {plural(len(inspection.other_end), 'picture')} numbered from "
+            f"the other one, as the robot's motion shows, first '{inspection.other_end[0]}'.",
+            tight=True,
+        )
     yield Paragraph(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)", tight=True)
     lead = "Unidentifiable combinations, without effect on the measurements:"
     yield Bullets([combination_text(one) for one in o.unidentifiable], lead, "  ", tight=True)

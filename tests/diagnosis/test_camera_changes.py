@@ -1,0 +1,70 @@
+"""A camera that was moved or refocused by little, found by a quick fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.basics.arrays import read_only
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.diagnosis.camera_changes import changes_between_pictures
+from calib.diagnosis.reasons import Why
+from calib.verbs.simulate.scenario import VirtualCell
+from tests.pictures import BOARD, STATED, joined, named, of_pictures, pictures_of
+
+COUNT, FIRST = 24, 15
+CELL = Cell(cameras={"": STATED}, boards={"": BOARD})
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[VirtualCell, Measurements]:
+    """Return a virtual cell and its pictures, in the order of their names."""
+    return pictures_of(BOARD, seed=7, count=COUNT)
+
+
+def changed(table: Measurements, other: VirtualCell) -> Measurements:
+    """Return a table whose last pictures, from `FIRST` on, are of another cell."""
+    after = named(other.measure(other.poses(COUNT, 7), 7).measurements)
+    return joined(
+        table.select(of_pictures(table) < FIRST), after.select(of_pictures(after) >= FIRST)
+    )
+
+
+@pytest.mark.slow
+def test_nothing_is_found_in_a_correct_table(seen: tuple[VirtualCell, Measurements]) -> None:
+    """Noise and an arm's errors are no change."""
+    cell, table = seen
+    assert changes_between_pictures(cell.truth.nominal, CELL, table) == ()
+
+
+@pytest.mark.slow
+def test_a_camera_that_was_moved_by_millimetres(seen: tuple[VirtualCell, Measurements]) -> None:
+    """It stands 4 mm aside from some picture on: the later ones are fewer, and are left out."""
+    cell, table = seen
+    bump = np.eye(4)
+    bump[0, 3] = 4e-3
+    truth = replace(cell.truth, T_frame_base=read_only(bump @ cell.truth.T_frame_base))
+    both = changed(table, replace(cell, truth=truth))
+    (finding,) = changes_between_pictures(cell.truth.nominal, CELL, both)
+    assert finding.reason.why is Why.CAMERA_MOVED
+    assert finding.reason.values["first"] == str(FIRST)
+    assert finding.reason.values["moved_m"] == pytest.approx(4e-3, rel=0.3)
+    assert set(finding.rows) == set(np.flatnonzero(of_pictures(both) >= FIRST) + 1)
+
+
+@pytest.mark.slow
+def test_a_camera_that_was_refocused(seen: tuple[VirtualCell, Measurements]) -> None:
+    """Its focal lengths are 1 % larger from some picture on."""
+    cell, table = seen
+    assert cell.equipment is not None
+    assert cell.equipment.camera.values is not None
+    values = cell.equipment.camera.values * np.where(np.arange(9) < 2, 1.01, 1.0)
+    camera = replace(cell.equipment.camera, values=read_only(values))
+    both = changed(table, replace(cell, equipment=replace(cell.equipment, camera=camera)))
+    (finding,) = changes_between_pictures(cell.truth.nominal, CELL, both)
+    assert finding.reason.why is Why.CAMERA_REFOCUSED
+    assert finding.reason.values["share"] == pytest.approx(0.01, rel=0.3)
+    assert finding.reason.values["first"] == str(FIRST)

@@ -1,0 +1,125 @@
+"""Mistakes of single pictures, found without a fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.basics.arrays import read_only
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.diagnosis.picture_mistakes import Finding, mistakes_of_pictures
+from calib.diagnosis.reasons import Why
+from calib.verbs.simulate.scenario import VirtualCell
+from tests.pictures import (
+    BOARD,
+    STATED,
+    joined,
+    joints_of,
+    named,
+    of_pictures,
+    pictures_of,
+    with_joints,
+)
+
+COUNT = 20
+CELL = Cell(cameras={"": STATED}, boards={"": BOARD})
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[VirtualCell, Measurements]:
+    """Return a virtual cell and its pictures, in the order of their names."""
+    return pictures_of(BOARD, seed=5, count=COUNT)
+
+
+def found(cell: VirtualCell, table: Measurements) -> tuple[Finding, ...]:
+    """Return what is found in a table."""
+    return mistakes_of_pictures(cell.truth.nominal, CELL, table)
+
+
+def test_nothing_is_found_in_a_correct_table(seen: tuple[VirtualCell, Measurements]) -> None:
+    """Errors of an uncalibrated arm are no mistakes."""
+    assert found(*seen) == ()
+
+
+def test_turned_pictures(seen: tuple[VirtualCell, Measurements]) -> None:
+    """Two pictures were turned by half a turn."""
+    cell, table = seen
+    turned = np.isin(table.images, ["3", "11"])
+    readings = {
+        "u": np.where(turned, 1279.0 - table.readings["u"], table.readings["u"]),
+        "v": np.where(turned, 719.0 - table.readings["v"], table.readings["v"]),
+    }
+    (finding,) = found(cell, replace(table, readings=readings))
+    assert finding.reason.why is Why.PICTURES_TURNED
+    assert finding.reason.values["named"] == ["3", "11"]
+    assert set(finding.rows) == set(np.array(table.rows)[turned].tolist())
+
+
+def test_exchanged_pictures(seen: tuple[VirtualCell, Measurements]) -> None:
+    """Two pictures have each other's joint values."""
+    cell, table = seen
+    order = np.arange(COUNT)
+    order[[2, 15]] = 15, 2
+    (finding,) = found(cell, with_joints(table, joints_of(table)[order]))
+    assert finding.reason.why is Why.PICTURES_EXCHANGED
+    assert finding.reason.values["named"] == ["2", "15"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [6, 12])
+def test_shifted_pictures(seen: tuple[VirtualCell, Measurements], first: int) -> None:
+    """From some picture on each has the joint values of the one before, whichever part is larger."""
+    cell, table = seen
+    order = np.arange(COUNT)
+    order[first:] -= 1
+    (finding,) = found(cell, with_joints(table, joints_of(table)[order]))
+    assert finding.reason.why is Why.ROWS_MOVED
+    assert finding.rows == ()
+    assert finding.reason.values["up"] is True
+    # A picture next to the place may agree by chance, or not at all.
+    place = of_pictures(table)[table.rows.index(finding.reason.values["row"])]
+    assert abs(int(place) - first) <= 1
+
+
+@pytest.mark.slow
+def test_all_pictures_shifted(seen: tuple[VirtualCell, Measurements]) -> None:
+    """Each picture has the joint values of the next one."""
+    cell, table = seen
+    order = np.minimum(np.arange(COUNT) + 1, COUNT - 1)
+    (finding,) = found(cell, with_joints(table, joints_of(table)[order]))
+    assert finding.reason.why in (Why.ROWS_SHIFTED, Why.ROWS_MOVED)
+
+
+@pytest.mark.slow
+def test_late_joint_values(seen: tuple[VirtualCell, Measurements]) -> None:
+    """The joint values lack 15 % of each move."""
+    cell, table = seen
+    q = joints_of(table)
+    late = q - 0.15 * np.diff(q, axis=0, prepend=q[:1])
+    (finding,) = found(cell, with_joints(table, late))
+    assert finding.reason.why is Why.JOINTS_LATE
+    assert finding.reason.values["of_step"] == pytest.approx(0.15, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_camera_that_was_moved(seen: tuple[VirtualCell, Measurements]) -> None:
+    """From picture 13 on it stands 10 cm and 5 deg away: these are fewer."""
+    cell, table = seen
+    bump = np.eye(4)
+    bump[:3, :3] = Rotation.from_rotvec([0.0, np.radians(5.0), 0.0]).as_matrix()
+    bump[:3, 3] = 0.0, 0.1, 0.0
+    truth = replace(cell.truth, T_frame_base=read_only(bump @ cell.truth.T_frame_base))
+    after = named(replace(cell, truth=truth).measure(cell.poses(COUNT, 5), 5).measurements)
+    later = of_pictures(after) >= 13
+    both = joined(table.select(of_pictures(table) < 13), after.select(later))
+    (finding,) = found(cell, both)
+    assert finding.reason.why is Why.CAMERA_MOVED
+    assert finding.reason.values["first"] == "13"
+    assert finding.reason.values["moved_rad"] == pytest.approx(np.radians(5.0), rel=0.1)
+    # Pictures of fewer than four corners determine no pose.
+    assert set(finding.rows) <= set(np.flatnonzero(of_pictures(both) >= 13) + 1)
+    assert len(finding.rows) > 0.9 * np.sum(later)
