@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.verbs.fleet.fleet import fleet as fleet
     from calib.verbs.inspect.inspection import inspect as inspect
+    from calib.verbs.joints.joint_table import joints as joints
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
     from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
@@ -79,6 +80,7 @@ _NAMES = {
     "calib.verbs.workspace.workspace": "workspace",
     "calib.errors": "CalibError",
     "calib.verbs.inspect.inspection": "inspect",
+    "calib.verbs.joints.joint_table": "joints",
     "calib.verbs.fleet.fleet": "fleet",
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",

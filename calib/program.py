@@ -32,6 +32,7 @@ VERBS = (
     "plan",
     "simulate",
     "convert",
+    "joints",
     "view",
     "workspace",
 )

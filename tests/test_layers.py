@@ -46,6 +46,7 @@ VERBS: dict[str, set[str]] = {
     "evaluate": {"detect"},
     "fleet": {"calibrate"},
     "inspect": {"plan"},
+    "joints": {"compensate"},
     "plan": {"compensate", "view", "workspace"},
     "simulate": {"plan"},
     "view": {"evaluate"},

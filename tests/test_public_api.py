@@ -52,6 +52,7 @@ NAMES = [
     "evaluate",
     "fleet",
     "inspect",
+    "joints",
     "plan",
     "simulate",
     "view",

@@ -47,6 +47,7 @@ from calib.data.columns import (
     cells_of,
 )
 from calib.data.forms.column_options import ColumnsInput
+from calib.data.forms.flange_poses import with_flange_joints
 from calib.data.forms.orientations import QUATERNION
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
@@ -55,6 +56,7 @@ from calib.data.values import read_values
 from calib.errors import MeasurementError, choices
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.numerics.moves import SAME_POSE, last_moves
+from calib.robot.flange import is_flange_robot
 
 #: Attributes that are arrays with an entry a row.
 _ARRAYS = (
@@ -132,6 +134,8 @@ class Measurements(Value):
     copies: tuple[int, ...] = ()
     #: Names of the joints whose readings were brought back into the limits by `calib.data.whole_turns.brought_back`.
     turned: tuple[str, ...] = ()
+    #: Pictures whose corners were numbered from the other end of a board that looks the same from both.
+    other_end: tuple[str, ...] = ()
     #: Unit in which the file gave joint values and points, by the column's name: ``{"joint_1": "deg", "x": "mm"}``;
     #: empty without a file.
     units: Mapping[str, str] = field(default_factory=dict)
@@ -162,7 +166,15 @@ class Measurements(Value):
         check_argument_types(self)
         fill = partial(object.__setattr__, self)
         count = len(np.asarray(self.points))
-        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies", "turned"):
+        for name in (
+            "joint_names",
+            "prismatic",
+            "ignored",
+            "unmeasured",
+            "copies",
+            "turned",
+            "other_end",
+        ):
             fill(name, tuple(getattr(self, name)))
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, (_, word) in WORD_COLUMNS.items():
@@ -276,6 +288,8 @@ class Measurements(Value):
         check_reading(path, points, joint_names, joint_types, columns)
         elsewhere = None if points is None else read_points(points, points_unit)
         table = path if isinstance(path, Table) else Table.read(path)
+        if is_flange_robot(joint_names or ()):
+            table, columns = with_flange_joints(table, columns)
         layout = Layout.find(
             table,
             joint_names,

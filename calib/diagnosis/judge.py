@@ -54,7 +54,7 @@ def judge(evidence: Evidence) -> Verdict:
     before, after, validation = evidence.before, evidence.after, evidence.validation
 
     # Errors that no arm has: the input must be wrong, and little else about such a fit means anything.
-    far = _is_absurd(before) and evidence.largest > _TOO_FAR
+    far = is_absurd(before) and evidence.largest > _TOO_FAR
     turned = after[_ANGLE.symbol].rms > _ANGLE.absurd
     noisy = absurd_noise(evidence.noise)
     absurd = [
@@ -65,9 +65,9 @@ def judge(evidence: Evidence) -> Verdict:
         *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
     ]
     if absurd:
-        # Joint values that are late may be the cause, which their effect on held-out rows shows.
-        late = [doubt for doubt in evidence.doubts if doubt.why is Why.JOINTS_LATE]
-        return Verdict(NO, (*late, absurd[0]))
+        # Joint values that are late may be the cause, which their effect on held-out rows shows; or pictures.
+        causes = [doubt for doubt in evidence.doubts if _may_cause_any_error(doubt)]
+        return Verdict(NO, (*causes, absurd[0]))
 
     against = _against(evidence)
     care = _care(evidence, against)
@@ -108,10 +108,16 @@ def judge(evidence: Evidence) -> Verdict:
     hanging = [reason for reason in against if reason.why.role is Role.AGAINST]
     wrong_input = [reason for reason in against if reason not in hanging]
     alone = [reason for reason in care if reason.why is Why.SOLE_POSTURE]
-    care = [reason for reason in care if reason not in alone]
+    of_pictures = [reason for reason in care if reason.why.group is Group.PICTURES]
+    care = [reason for reason in care if reason not in (*alone, *of_pictures)]
     information = _doubts(evidence, Role.INFORMATION)
     others = (*gains, *improvements, *information, *evidence.notes)
-    return Verdict(use, (*wrong_input, *alone, *hanging, *care, *others))
+    return Verdict(use, (*of_pictures, *wrong_input, *alone, *hanging, *care, *others))
+
+
+def _may_cause_any_error(doubt: Reason) -> bool:
+    """Return whether a doubt is about what an error of any size may come from: late joints, or pictures."""
+    return doubt.why is Why.JOINTS_LATE or doubt.why.group is Group.PICTURES
 
 
 def absurd_noise(noise: Mapping[str, float]) -> Reason | None:
@@ -150,7 +156,7 @@ def _against(evidence: Evidence) -> list[Reason]:
     worse = replace(_many_outliers(evidence), why=Why.WORSE_WITH_OUTLIERS)
     first = _applicable(
         (nothing, Reason.of(Why.NOTHING_TO_GAIN, before=evidence.before)),
-        (_is_absurd(evidence.after), Reason.of(Why.STILL_FAR_OFF, **both)),
+        (is_absurd(evidence.after), Reason.of(Why.STILL_FAR_OFF, **both)),
         (hopeless, _better(Why.NO_URDF_HOLDS, evidence)),
         (too_few, Reason.of(Why.TOO_FEW, **both | counts)),
         (evidence.gain <= 0.0, Reason.of(Why.NO_BETTER, **both)),
@@ -187,7 +193,7 @@ def _care(evidence: Evidence, against: list[Reason]) -> list[Reason]:
     about_gain = _applicable(
         (usable and much_remains, _better(Why.MUCH_REMAINS, evidence)),
         (usable and may_be_chance, Reason.of(Why.MAY_BE_CHANCE, gain=evidence.gain)),
-        (_is_absurd(before), Reason.of(Why.FAR_OFF_BEFORE, before=before)),
+        (is_absurd(before), Reason.of(Why.FAR_OFF_BEFORE, before=before)),
         (
             usable and evidence.unpredictable,
             Reason.of(Why.UNKNOWN_ELSEWHERE, **_over_limits(evidence)),
@@ -310,8 +316,12 @@ def _better(why: Why, evidence: Evidence) -> Reason:
     return Reason.of(why, **values)
 
 
-def _is_absurd(errors: Errors) -> bool:
-    """Return whether the rms error in a unit other than of orientations is beyond any uncalibrated arm."""
+def is_absurd(errors: Errors) -> bool:
+    """Return whether the rms error in a unit other than of orientations is beyond any uncalibrated arm.
+
+    Args:
+        errors: Errors of a robot.
+    """
     return any(_exceeds(errors[unit].rms, unit) for unit in errors.units)
 
 

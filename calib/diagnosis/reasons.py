@@ -48,6 +48,8 @@ class Group(Enum):
     NOT_NOISE = auto()
     #: Better measurements may show a gain after all
     NOT_SEEN = auto()
+    #: Mistakes of some pictures, which are stated before all else
+    PICTURES = auto()
 
 
 class Why(str, Enum):
@@ -108,6 +110,10 @@ class Why(str, Enum):
     NOISE_ABSURD = "noise_absurd", Role.WRONG_INPUT
     ORIENTATION_ABSURD = "orientation_absurd", Role.WRONG_INPUT
 
+    # Frames and targets are not located
+    SETUP_UNDETERMINED = "setup_undetermined", Role.AGAINST
+    SETUP_UNSURE = "setup_unsure", Role.CARE
+
     # The corrected robot is not better
     NOTHING_TO_GAIN = "nothing_to_gain", Role.AGAINST, Group.NOT_SEEN
     STILL_FAR_OFF = "still_far_off", Role.AGAINST
@@ -161,6 +167,10 @@ class Why(str, Enum):
     SETUP_FLAGGED = "setup_flagged", Role.CARE
 
     # Images of a board
+    PICTURES_TURNED = "pictures_turned", Role.GIVEN, Group.PICTURES
+    PICTURES_EXCHANGED = "pictures_exchanged", Role.GIVEN, Group.PICTURES
+    CAMERA_MOVED = "camera_moved", Role.GIVEN, Group.PICTURES
+    CAMERA_REFOCUSED = "camera_refocused", Role.GIVEN, Group.PICTURES
     SENSE_REVERSED = "sense_reversed", Role.WRONG_INPUT
     SENSE_UNKNOWN = "sense_unknown", Role.CARE
     FOCAL_LENGTH_OFF = "focal_length_off", Role.GIVEN
@@ -171,6 +181,7 @@ class Why(str, Enum):
     CAMERA_TOO_ROUGH = "camera_too_rough", Role.IMPROVE
 
     # Gains and information
+    SETUP_LOCATED = "setup_located", Role.INFORMATION
     GAIN = "gain", Role.INFORMATION
     VALIDATION_GAIN = "validation_gain", Role.INFORMATION
     LARGER_MODEL = "larger_model", Role.INFORMATION
@@ -179,8 +190,11 @@ class Why(str, Enum):
     CREEPS = "creeps", Role.INFORMATION
     ONE_SIDED = "one_sided", Role.INFORMATION
     OUTSIDE = "outside", Role.INFORMATION
+    ALREADY_CORRECTED = "already_corrected", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
+    OTHER_END = "other_end", Role.INFORMATION
+    CORNERS_THINNED = "corners_thinned", Role.INFORMATION
     DRIFT_REMOVED = "drift_removed", Role.INFORMATION
     SIGMA_UNLIKELY = "sigma_unlikely", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION

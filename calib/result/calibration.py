@@ -68,8 +68,8 @@ class Calibration(Value):
         fit              measurements and solved problem; fit_in_memory: the same, None if read from a file
 
     At hand without their part: ``verdict``, ``errors``, ``cross_validation``, ``new_point``, ``parameters``,
-    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``. ``run`` is the id that all files of the result
-    carry.
+    ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``; ``is_setup_only`` if these were all that was
+    sought. ``run`` is the id that all files of the result carry.
     """
 
     #: The robot as given
@@ -275,6 +275,11 @@ class Calibration(Value):
     def model(self) -> ErrorModel:
         """The error model of the geometry: names, units and places of the p parameters."""
         return self.geometry.model
+
+    @property
+    def is_setup_only(self) -> bool:
+        """True if frames and targets alone were sought: the user named the model ``frames``."""
+        return self.model.name == "frames" and not self.method.candidates
 
     @property
     def parameters(self) -> tuple[ParameterEstimate, ...]:

@@ -12,9 +12,11 @@ from calib.basics.arrays import Array, Mask
 from calib.basics.channels import Channels
 from calib.diagnosis.evidence import Evidence, ValidationErrors
 from calib.diagnosis.judge import judge
-from calib.diagnosis.reasons import NO, Reason, Why
+from calib.diagnosis.judge_setup import judge_setup
+from calib.diagnosis.reasons import NO, Reason, Role, Verdict, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
+from calib.model.error_model import FRAME, TARGET
 from calib.model.error_on_chain import model_on_chain
 from calib.numerics.errors import Errors
 from calib.numerics.moves import common_side
@@ -32,18 +34,20 @@ _FEW_SUSPECTS = 0.15
 _PER_JOINT = 4
 
 
-def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()) -> Calibration:
+def add_verdicts(result: Calibration, rows: Rows, found: tuple[Reason, ...] = ()) -> Calibration:
     """Return a result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
         result: A cross-validated result, with its measurements and fits in memory.
         rows: The rows that were fitted.
-        notes: Reasons that only inform, to be stated with the others of the geometry.
+        found: What was found before the fit: doubts, and what only informs, to be stated with the rest of the geometry.
 
     Returns:
         The same result, each fitted model with its verdict.
     """
-    doubts = tuple(find_doubts(result, rows))
+    notes = tuple(reason for reason in found if reason.why.role is Role.INFORMATION)
+    before = (reason for reason in found if reason.why.role is not Role.INFORMATION)
+    doubts = (*before, *find_doubts(result, rows))
     larger, of_larger = result.non_geometric, result.fit.non_geometric
     usable = None
     if larger is not None and of_larger is not None:
@@ -61,6 +65,9 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
     every_note = (*notes, *without_explained(_notes(result), doubts))
     evidence = replace(evidence, notes=every_note, non_geometric=usable)
+    if result.is_setup_only:
+        verdict = _judge_setup(result, evidence)
+        return replace(result, geometry=replace(geometry, verdict=verdict))
     chains = tuple(_chains(result, evidence, rows))
     verdict = verdict_with_chains(judge(evidence), chains)
     trust = replace(result.trust, chains=chains)
@@ -86,6 +93,42 @@ def _chains(result: Calibration, evidence: Evidence, rows: Rows) -> Iterator[Cha
         moves = geometry.model.of_robot & np.any(on_chain.mixing != 0.0, axis=0)
         of_chain = evidence_of_chain(evidence, rows, number, moves, geometry.x, expected)
         yield result_of_chain(chain.base, chain.tip, of_chain)
+
+
+def _judge_setup(result: Calibration, evidence: Evidence) -> Verdict:
+    """Judge frames and targets: collect which of their parameters the rows leave open, and how certain the others are.
+
+    The uncertainty is the largest half-width of a 95 % interval, of a length [m] and of an angle [rad].
+    """
+    model = result.geometry.model
+    of_setup = model.family(FRAME, TARGET)
+    open_ones = of_setup & ~result.trust.observability.identifiable
+    located = {}
+    for unit in ("m", "rad"):
+        halves = [
+            0.5 * (estimate.high - estimate.low)
+            for estimate, parameter, is_place in zip(
+                result.geometry.parameters, model.parameters, of_setup, strict=True
+            )
+            if is_place and parameter.unit == unit
+        ]
+        if halves:
+            located[f"located_{unit}"] = max(halves)
+    m, rows = result.fit.measurements, result.rows
+    chosen = m.estimation.copy()
+    chosen[np.flatnonzero(chosen)[evidence.outliers]] = False
+    return judge_setup(
+        evidence,
+        Errors.of(rows.residual_calibrated[chosen], rows.channels.select(chosen)),
+        [name for name, is_open in zip(model.names, open_ones, strict=True) if is_open],
+        Reason.of(
+            Why.SETUP_LOCATED,
+            **located,
+            after=evidence.after,
+            method=evidence.calibrated.method,
+            outliers=evidence.flagged,
+        ),
+    )
 
 
 def _collect_evidence(
@@ -312,8 +355,13 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         falling = [name for name, sign in zip(names, side, strict=True) if sign < 0.0]
         rising = [name for name, sign in zip(names, side, strict=True) if sign > 0.0]
         yield Reason.of(Why.ONE_SIDED, rising=rising, falling=falling)
+    if result.nominal.urdf.run:
+        urdf = result.nominal.urdf
+        yield Reason.of(Why.ALREADY_CORRECTED, run=urdf.run, verdict=urdf.verdict)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
+    if m.other_end:
+        yield Reason.of(Why.OTHER_END, off=len(m.other_end), named=[m.other_end[0]])
     if m.turned:
         yield Reason.of(Why.READINGS_TURNED, joints=", ".join(m.turned))
 

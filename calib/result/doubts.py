@@ -28,6 +28,7 @@ from calib.model.families import FAMILIES, joint_families
 from calib.numerics.errors import interval_factor
 from calib.numerics.solvers import has_weights_and_priors
 from calib.result.calibration import Calibration
+from calib.robot.flange import is_flange_robot
 
 #: The model lacks something if repeats scatter by less than this share of the noise.
 _SCATTER_SHARE = 0.5
@@ -82,7 +83,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     yield from still_joints(fitted.task.robot, rows)
     if has_weights_and_priors(result.method.solver):
         yield from sole_postures(result.fit.geometry, np.array(m.rows)[m.estimation])
-    if _is_named_model(result):
+    if _is_named_model(result) and not is_flange_robot(result.nominal.joint_names):
         yield from _missing_model(few)
     yield from partial_coverage(few)
     yield from patterns_in_table(fitted, m)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from calib.errors import UrdfError
+from calib.errors import UrdfError, choices
 from calib.robot.chain import MOVING, driver_of
 from calib.robot.urdf import Urdf
 from calib.robot.urdf_tree import UrdfJoint
@@ -27,6 +27,9 @@ _HAND_WORDS = (*_FINGER_WORDS, "gripper", "hand")
 
 #: Words in the names of wrist joints, which may also contain a word of a hand: ``gripper_yaw_joint``.
 _WRIST_WORDS = ("roll", "pitch", "yaw")
+
+#: Two arms have at least so many measured joints each that the other has not; a head or fingers have fewer.
+_FEWEST_OF_ARM = 3
 
 
 def farthest_link(
@@ -48,7 +51,7 @@ def farthest_link(
         held: Values [rad or m] of joints that stay where they are, by name: they lead on, but do not count.
 
     Raises:
-        UrdfError: There is no link ``base``.
+        UrdfError: There is no link ``base``; or joints of two arms, equally long, are measured.
     """
     urdf.chain(base, base)  # raises, with the names of all links, for one that does not exist
     above = {joint.child: joint for joint in urdf.joints}
@@ -63,16 +66,40 @@ def farthest_link(
     given = every
     if measured is not None:
         given = {name for name in every if drivers[name] in measured}
-    count: dict[str, int] = {}
+    moved_by: dict[str, frozenset[str]] = {}
     for passed in (given - hand, given, every - hand, every):
-        count = _moving_joints_to(urdf, start, drivers, passed, hand)
-        if max(count.values()):
+        moved_by = _drivers_of_links(urdf, start, drivers, passed, hand)
+        if any(moved_by.values()):
             break
-    most = max(count.values())
-    farthest = [link for link, number in count.items() if number == most]
+    most = max(map(len, moved_by.values()))
+    farthest = [link for link, names in moved_by.items() if len(names) == most]
     palms = {joint.parent for joint in urdf.joints if joint.name in hand}
     before_hand = [link for link in farthest if not _is_in_hand(above, palms, link)] or farthest
+    if measured is not None:
+        _check_one_arm(urdf, {link: moved_by[link] for link in before_hand})
     return next((name for name in _USUAL_TIPS if name in farthest), before_hand[-1])
+
+
+def _check_one_arm(urdf: Urdf, tips: Mapping[str, frozenset[str]]) -> None:
+    """Raise UrdfError, with what to type, if tips are the ends of different arms, by the joints that move each.
+
+    Arms differ by `_FEWEST_OF_ARM` joints or more, each by other ones; fingers of a hand differ by fewer.
+    """
+    arms: dict[frozenset[str], str] = {}
+    for link, names in tips.items():
+        if arms.get(names) not in _USUAL_TIPS:
+            arms[names] = link
+    apart = [
+        link
+        for names, link in arms.items()
+        if any(len(names - other) >= _FEWEST_OF_ARM for other in arms)
+    ]
+    if len(apart) > 1:
+        several = " ".join(f"--tip NAME={link}" for link in apart)
+        raise UrdfError(
+            f"{urdf.source}: the table has the joints of {len(apart)} arms, which end at {choices(apart)}. Name the "
+            f"one that carried the target, --tip {apart[0]}; or each, with its name in the column 'target': {several}."
+        )
 
 
 def _drivers(urdf: Urdf, held: Mapping[str, float]) -> dict[str, str | None]:
@@ -138,14 +165,14 @@ def _is_in_hand(above: Mapping[str, UrdfJoint], palms: Collection[str], link: st
     return True
 
 
-def _moving_joints_to(
+def _drivers_of_links(
     urdf: Urdf,
     start: str,
     drivers: Mapping[str, str | None],
     passed: Collection[str],
     hand: Collection[str],
-) -> dict[str, int]:
-    """Return how many joints drive each link below one, for links that passed and still joints lead to."""
+) -> dict[str, frozenset[str]]:
+    """Return the joints that drive each link below one, for links that passed and still joints lead to."""
     below: dict[str, list[UrdfJoint]] = {}
     for joint in urdf.joints:
         below.setdefault(joint.parent, []).append(joint)
@@ -163,4 +190,4 @@ def _moving_joints_to(
                 continue
             moved_by[joint.child] = moved_by[link] | ({driver} if driver is not None else set())
             waiting.append(joint.child)
-    return {link: len(names) for link, names in moved_by.items()}
+    return moved_by

@@ -21,6 +21,7 @@ from calib.basics.files import check_no_xacro, read_bytes, write_atomically
 from calib.basics.json_files import parse_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
+from calib.robot import flange
 from calib.robot.cylinder_urdf import REMARK, dh_urdf
 from calib.robot.dh_file import ENDINGS, read_dh_robot, robot_of_json
 from calib.robot.dh_rows import DHRobot
@@ -415,11 +416,13 @@ def read_urdf(source: str | Path) -> Urdf:
         return Urdf.read(path)
 
     name = str(source)
+    if name == flange.NAME:
+        return Urdf.from_bytes(flange.flange_urdf(), "the poses of the flange")
     of_arm = named_ur_urdf(name)
     if of_arm is not None:
         return Urdf.from_bytes(of_arm, f"the nominal {ur_model(name).name}")
     files = {file.removesuffix(".urdf").removesuffix("_robot") for file in robot_data_urdfs()}
-    known = sorted(files | {model.plain for model in MODELS})
+    known = sorted(files | {model.plain for model in MODELS} | {flange.NAME})
     raise UrdfError(
         f"'{name}' is neither a file here nor a robot whose name calib knows{_similar(name, known)}. Give the path of "
         f"a URDF, a xacro or DH rows, or one of {choices(known)}."

@@ -218,6 +218,12 @@ SENTENCES = {
     "scale (the size of a printed board, a tracker's temperature, the unit).",
     Why.COMPLIANCE_NEGATIVE: "'{joint}' would move against its load, which no {family} does. Are "
     "the masses, the payload and the direction of gravity right?",
+    Why.SETUP_UNDETERMINED: "These poses do not determine {names}: turn the hand about two axes or more, by 30 deg or "
+    "more each, or state what is known of frame and target.",
+    Why.SETUP_UNSURE: "Rows that the fit has not seen are off by {after}, those that it has by {before}: there are too "
+    "few poses for what is estimated. Add poses.",
+    Why.SETUP_LOCATED: "Frames and targets are located to {located} (95 %, the least certain of them). On held-out "
+    "rows ({method}{outliers_aside}) the error is {after}, the robot's own errors in it.",
     Why.GAIN: "On held-out rows ({method}{outliers_aside}) the error falls {change}.",
     Why.LARGER_MODEL: "With the non-geometric model '{model}' the error on held-out rows is {after} "
     "(verdict: {use}). No URDF can represent it{used_by}.",
@@ -237,10 +243,16 @@ SENTENCES = {
     "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
     "scale is known better, say so: --instrument tracker, or in the cell file sigma_scale_percent or, once a known "
     "length was checked, scale_certified = true.",
+    Why.ALREADY_CORRECTED: "The robot given is a corrected URDF of run {run}{its_verdict}: changes count from it, and "
+    "the priors are centred on it, their sizes estimated from these rows.",
     Why.ROWS_COPIED: "{rows} rows (the first is row {row}) are exact copies of others, and were "
     "ignored.",
     Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
     "back by 360 deg; the URDF's limits decide.",
+    Why.OTHER_END: "The board looks the same from both ends: in {pictures_off} its corners were numbered from the end "
+    "that the robot's motion shows to be the other one, first in {pictures_named}.",
+    Why.CORNERS_THINNED: "Of {corners} corners {kept} were fitted, evenly over pictures and board: those of one "
+    "picture share the robot's error there.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} the error falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
@@ -251,6 +263,15 @@ SENTENCES = {
     Why.SENSE_UNKNOWN: "These poses do not show in which direction a joint counts: with the sign of "
     "{joints} reversed the images fit as well. Check it by hand, and turn this joint by 60 deg or more with the other "
     "joints at other values.",
+    Why.PICTURES_TURNED: "{of_pictures} fit only if they are turned by half a turn: {pictures_named}. They were left "
+    "out. Turn them back, or take them again; does a camera or a program turn pictures by their orientation tag?",
+    Why.PICTURES_EXCHANGED: "{of_pictures} fit only with the joint values of each other: {pictures_named}. They were "
+    "left out. Were they named wrongly, or are their rows exchanged?",
+    Why.CAMERA_MOVED: "{of_pictures}{from_picture} fit only if the camera stood elsewhere, {moved_m:mm.1f} mm and "
+    "{moved_rad:deg.2f} deg away: {pictures_named}. {left_out}Was it knocked? Give those rows a name of their own in "
+    "the column 'group', or take them again.",
+    Why.CAMERA_REFOCUSED: "{of_pictures}{from_picture} fit only with another focal length ({share:%+.2f} %): "
+    "{pictures_named}. {left_out}Did autofocus or a zoom move? Switch it off, and take them again.",
     Why.FOCAL_LENGTH_OFF: "The focal length seems to be {share:%+.2f} % off what was stated (standard "
     "deviation {std:%.2f} %): {if_exact}are the intrinsics of this camera, resolution and focus?",
     Why.BOARD_SCALE_OFF: "The board seems to be {share:%+.2f} % off its stated size (standard deviation "
@@ -290,6 +311,10 @@ _DH_DIGIT = 0.005
 
 #: Second sentence of a reason that much remains, if the non-geometric model leaves far less.
 _BETTER = " The non-geometric model '{model}' leaves {less}: " + _COMPENSATE
+
+
+#: The most pictures that a sentence names.
+_PICTURES_NAMED = 4
 
 
 def reason_text(reason: Reason) -> str:
@@ -426,6 +451,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "with_noise": "",
         "if_exact": "do not state it as exact, and " if values.get("exact") else "",
         "rows_aside": "",
+        "located": " and ".join(sizes_of(values, "located", ".2g")),
+        "its_verdict": f", whose verdict was {values['verdict']}" if values.get("verdict") else "",
         "named": "",
         "of_station": "",
         "ranges": _ranges(values),
@@ -442,6 +469,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "less_noise": "".join(sizes_of(values, "less")[:1]),
         "given_off": listed(sizes_of(values, "given", ".2f")),
         "error_off": listed(sizes_of(values, "error", ".2f")),
+        **_pictures(values),
         "within": "".join(sizes_of(values, "within")[:1]),
     }
     free_before, free_after = (sizes_of(values, f"free_{side}") for side in ("before", "after"))
@@ -461,6 +489,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         words["named"] = f" '{values['target']}'"
     if values.get("station"):
         words["of_station"] = f" of station '{values['station']}'"
+    if isinstance(values.get("names"), Sequence):
+        words["names"] = choices(values["names"], limit=12)
     if "rows" in values and "joints" in values:
         words |= _sole_postures(values["rows"], values["joints"])
     if words["less_noise"] and "model" in values:
@@ -469,6 +499,23 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         if "remains" in values:
             words["better"] = _BETTER.format(model=values["model"], less=less)
     return words
+
+
+def _pictures(values: Mapping[str, Any]) -> dict[str, str]:
+    """Word which pictures of which camera a reason is about, for `SENTENCES`; none for the values of other reasons."""
+    if "named" not in values:
+        return {}
+    named, count = values["named"], values["off"]
+    camera = f" of camera '{values['camera']}'" if values.get("camera") else ""
+    further = count - min(len(named), _PICTURES_NAMED)
+    listed_names = ", ".join(f"'{name}'" for name in named[:_PICTURES_NAMED])
+    return {
+        "pictures_off": plural(count, "picture"),
+        "of_pictures": f"{count} of {values.get('of', count)} pictures{camera}",
+        "from_picture": f", before or from '{values['first']}' on," if values.get("first") else "",
+        "pictures_named": listed_names + (f" and {further} more" if further > 0 else ""),
+        "left_out": "They were left out. " if values.get("left_out", True) else "",
+    }
 
 
 def _dh_cell(cell: Mapping[str, Any]) -> str:

@@ -143,3 +143,11 @@ def test_late_joint_values_are_not_said_to_be_creep_too():
     late, step = Reason.of(Why.JOINTS_LATE, of_step=0.1), Reason.of(Why.TARGET_STEP)
     assert without_explained([creeps, short], [step, late]) == (short,)
     assert without_explained([creeps, short], [step]) == (creeps, short)
+
+
+def test_a_robot_that_is_corrected_already_is_named(calibrated):
+    _, first = calibrated("known set-ups")
+    assert Why.ALREADY_CORRECTED not in {note.why for note in _notes(first)}
+    again = replace(first, nominal=first.robot)
+    (note,) = [note for note in _notes(again) if note.why is Why.ALREADY_CORRECTED]
+    assert note.values == {"run": first.run, "verdict": ""}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from calib.errors import UrdfError
 from calib.robot.robot import Robot
 from tests.robot.shared import joint, urdf_of
 
@@ -163,3 +164,21 @@ def test_a_gripper_alone_ends_at_the_finger_that_is_driven():
     joints = (joint("m", "palm", "p1"), follower("m2", "palm", "p2", "m"))
     assert chain_of("palm p1 p2", *joints).joint_names == ("m",)
     assert chain_of("palm p1 p2", *joints).tip == "p1"
+
+
+def test_two_measured_arms_are_named_and_none_is_chosen():
+    links = "body l1 l2 l3 left_tip r1 r2 r3 right_tip"
+    sides = {"left": ("l1", "l2", "l3"), "right": ("r1", "r2", "r3")}
+    joints = []
+    for side, (a, b, c) in sides.items():
+        joints += [joint(a, "body", a), joint(b, a, b), joint(c, b, c)]
+        joints.append(joint(f"{side}_fixed", c, f"{side}_tip", "fixed"))
+    both = ["l1", "l2", "l3", "r1", "r2", "r3"]
+    with pytest.raises(UrdfError, match=r"2 arms.*'left_tip', 'right_tip'.*--tip left_tip") as e:
+        chain_of(links, *joints, measured=both)
+    assert "--tip NAME=left_tip --tip NAME=right_tip" in str(e.value)
+    assert chain_of(links, *joints, measured=both, tip="left_tip").joint_names == tuple(both[:3])
+    # One arm alone, one that is longer, and a robot without a table are as before.
+    assert chain_of(links, *joints, measured=both[:3]).tip == "left_tip"
+    assert chain_of(links, *joints, measured=both[:5]).tip == "left_tip"
+    assert chain_of(links, *joints).tip == "right_tip"

@@ -10,6 +10,7 @@ from calib.data.cell import Cell
 from calib.errors import ModelError, choices
 from calib.fit.registration.setup import KnownDistance, Setup
 from calib.model.error_model import FRAME, MOUNT, TARGET, ErrorModel, Parameter
+from calib.model.frozen import frozen_parameters
 from calib.model.parameter_sets import error_model
 from calib.numerics.solvers import Solver, check_name, has_weights_and_priors
 from calib.robot.robot import Robot
@@ -54,7 +55,8 @@ class Task(Value):
             targets that are estimated, then of cameras and boards; and the terms tied to them.
 
         Raises:
-            ModelError: An unknown model or parameter, or a frame or target that is frozen or tied.
+            ModelError: An unknown model or parameter, or a frame or target that is frozen or tied; or a parameter that
+                is tied, and frozen with its joint or link.
         """
         setup = self.setup
         model = error_model(
@@ -66,7 +68,7 @@ class Task(Value):
             gravity=self.cell.gravity,
             further=[unknown.parameter for unknown in setup.internals],
         )
-        frozen = self.cell.frozen
+        frozen = frozen_parameters(self.robot, model.parameters, self.cell.frozen)
         ties = self.cell.ties
 
         # A measurement frame or target is estimated as a whole, or not at all.
@@ -76,10 +78,11 @@ class Task(Value):
         of_instruments = [parameter.name for _, parameter in model.internals]
         refused = [name for name in of_setup if name in {*frozen, *tied}]
         refused += [name for name in of_instruments if name in tied]
+        refused += [name for name in ties if name in frozen]
         if refused:
             raise ModelError(
-                f"{choices(refused)} cannot be frozen or tied: a frame or target is whole, and numbers of a camera or "
-                "board are not tied."
+                f"{choices(refused)} cannot be frozen or tied: a frame or target is whole, numbers of a camera or "
+                "board are not tied, and what is tied is not frozen too."
             )
 
         if self.allow_absent:

@@ -25,6 +25,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, rigid_inverse
 from calib.model.error_model import TARGET
 from calib.model.families import FAMILIES
+from calib.model.frozen import frozen_parameters
 from calib.model.kinematics import Samples
 from calib.model.parameter_sets import DIRECTIONS, OWN, error_model, split_name
 from calib.numerics.rigid_motion import displacements_by
@@ -185,7 +186,8 @@ def _left_out(result: Calibration, part: FittedModel) -> Array:
         sets.add(split_name(part.model.name)[0])
     for name in sorted(sets):
         parameters = error_model(result.nominal, name, target=False).parameters
-        modelled += [p for p in parameters if p.name in result.method.frozen]
+        frozen = frozen_parameters(result.nominal, parameters, result.method.frozen)
+        modelled += [p for p in parameters if p.name in frozen]
     joint = result.nominal.joints[0].name
     directions = [term.direction for term in modelled if term.place == joint]
     spanned = np.array(directions).reshape(-1, 6)

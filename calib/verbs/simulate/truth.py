@@ -25,6 +25,7 @@ from calib.data.columns import DEFAULT_TARGET
 from calib.errors import CalibError, ModelError, choices
 from calib.model.error_model import ErrorModel
 from calib.model.families import FAMILIES, unit_of
+from calib.model.frozen import frozen_parameters
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameter_sets import error_model, split_name
 from calib.numerics.moves import last_moves
@@ -209,7 +210,8 @@ def draw_truth(
         given |= placement_errors
     # A cell may be made for a fit of another model: ties and frozen parameters that only that model has do not count.
     ties = {name: tie for name, tie in cell.ties.items() if name in free and tie[0] in free}
-    frozen = [name for name in cell.frozen if name in free and name in all_errors.names]
+    frozen = frozen_parameters(robot, all_errors.parameters, cell.frozen)
+    frozen = tuple(name for name in frozen if name in free and name in all_errors.names)
     drawn_model = all_errors.tied(ties).without(frozen)
     groups, T_frame_base = _draw_frames(cell, seed)
     targets, stated, true = _draw_targets(cell, seed, target_error)

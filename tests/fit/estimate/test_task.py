@@ -70,3 +70,11 @@ def test_of_calibs_own_solvers_the_papers_alone_has_neither_weights_nor_priors(t
     without = [name for name in SOLVERS if not replace(task, solver=name).has_weights_and_priors]
     assert without == ["paper"]
     assert replace(task, solver=levenberg_marquardt).has_weights_and_priors
+
+
+def test_a_joint_that_is_frozen_takes_its_parameters_along(task):
+    joint = task.robot.joint_names[2]
+    left = {*task.error_model().names} - {*with_cell(task, frozen=(joint,)).error_model().names}
+    assert left == {"a2", "alpha2", "d3", "theta3"}
+    with pytest.raises(ModelError, match="'a2'"):
+        with_cell(task, frozen=(joint,), ties={"a2": ("a3", 1.0)}).error_model()
