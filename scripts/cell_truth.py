@@ -213,30 +213,50 @@ class TrueCell:
         return u if np.all((u > 0.0) & (u < SIZE)) else None
 
     def contacts(
-        self, rng: np.random.Generator, frame: str, targets: Sequence[str], count: int
+        self,
+        rng: np.random.Generator,
+        frame: str,
+        targets: Sequence[str],
+        count: int,
+        kind: str = "fixed",
+        sigma: float = 0.0,
     ) -> Measurements:
-        """Return rows of targets held at the origin of a frame, a socket, ``count`` of each target."""
+        """Return rows of targets held by a frame, ``count`` of each target, with noise of the joint values [rad].
+
+        The kind is ``fixed`` (the target is at the origin), ``face`` (flat on the x-y plane) or ``clasp`` (in the pose
+        of the frame).
+        """
         parts = []
         for target in targets:
-            q = [self._reach(rng, frame, target) for _ in range(count)]
-            parts.append(self._table(np.array(q), frame, target, "fixed"))
+            q = np.array([self._reach(rng, frame, target, kind) for _ in range(count)])
+            noise = sigma * rng.standard_normal(q.shape) * self.needed(frame, target)
+            parts.append(self._table(q + noise, frame, target, kind))
         return joined(parts)
 
-    def _reach(self, rng: np.random.Generator, frame: str, target: str) -> Array:
-        """Draw joint values, (n,), at which a target is at the origin of a frame, by Newton's method."""
+    def _miss(self, values: Array, frame: str, target: str, kind: str) -> Array:
+        """Return by how much a target misses how it is to be held at joint values, (n,), [m] and [rad]."""
+        T = self.pose(values, frame, target)
+        if kind == "face":
+            return np.array([T.translation[2], T.rotation[0, 2], T.rotation[1, 2]])
+        if kind == "clasp":
+            return np.asarray(pin.log6(T).vector)
+        return np.asarray(T.translation)
+
+    def _reach(self, rng: np.random.Generator, frame: str, target: str, kind: str) -> Array:
+        """Draw joint values, (n,), at which a target is held by a frame, by Newton's method."""
         moves = self.needed(frame, target)
         while True:
             values = self.draw(rng, 1)[0]
             for _ in range(60):
-                p = self.pose(values, frame, target).translation
+                p = self._miss(values, frame, target, kind)
                 if np.abs(p).max() < 1e-14:
                     break
-                J = np.zeros((3, len(values)))
+                J = np.zeros((len(p), len(values)))
                 for k in np.flatnonzero(moves):
                     step = np.zeros(len(values))
                     step[k] = 1e-6
-                    ahead = self.pose(values + step, frame, target).translation
-                    behind = self.pose(values - step, frame, target).translation
+                    ahead = self._miss(values + step, frame, target, kind)
+                    behind = self._miss(values - step, frame, target, kind)
                     J[:, k] = (ahead - behind) / 2e-6
                 change = -np.linalg.pinv(J) @ p
                 values = values + change * min(1.0, 0.3 / max(np.abs(change).max(), 1e-12))

@@ -8,10 +8,13 @@ With the pose (R, p) of the target in its measurement frame, what is measured, w
     pair       the distance between two rows     |p_i - p_j|    d - |p_i - p_j|
     fixed      nothing: the target is in a socket               0 - p                the frame stands in the socket
     plane      nothing: the target is on a plane                0 - p_z              the frame lies in the plane
+    face       nothing: the target is flat on a plane           0 - p_z, 0 - w       the frame lies in the plane
+    clasp      nothing: the target is held in one pose          0 - p, log(R^T)      the frame stands where it is held
     pixel      the image of a corner         u = f(R P + p)     m - u                the frame is the camera's
 
 P is the corner on the board, which is the target, and f the camera's lens: the internals of a camera, see
-`calib.model.internals` and `calib.camera.optics`.
+`calib.model.internals` and `calib.camera.optics`. w = s (-e_y, e_x) are the sines of the tilts of the target's z axis e
+about x and y of the plane; with s, the sign of e_z, it may point to either side.
 
 A ball in a socket, an anchored distance and a plane are thus points: some of their coordinates are measured, in a frame
 that is unknown in some directions. One error model serves all. `register` adds a kind from outside; see
@@ -29,7 +32,7 @@ from scipy.spatial.transform import Rotation
 
 import calib.basics.plugins as plugins
 from calib.basics.arguments import check_type
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.units import UNITS, Quantity
 from calib.basics.values import Value
@@ -139,11 +142,15 @@ class Kind(Value):
     own_frame: bool = False
     #: Whether ``directions`` are along the axes of the measurement frame; False: of the base.
     own_axes: bool = False
+    #: Directions of the target along its own axes, of `DIRECTIONS`, that rows determine beside those of the frame, and
+    #: that are estimated with it. None: its position, and of a kind that turns its orientation.
+    target_directions: tuple[str, ...] | None = None
     #: Least number of rows of a group: with fewer, its frame fits whatever the robot does.
     fewest: int = 1
     #: Start of the estimate of the measurement frame: (positions of the targets in the base,
-    #: shape (n, 3) [m]; measured, (n, k); a guess of T_frame_base, (4, 4) [m]) to T_frame_base,
-    #: (4, 4) [m]. None: it is found from the measured positions, as of an instrument's frame.
+    #: shape (n, 3) [m], or their poses, (n, 4, 4), of a kind that turns; measured, (n, k); a guess of
+    #: T_frame_base, (4, 4) [m]) to T_frame_base, (4, 4) [m]. None: it is found from the measured positions, as of an
+    #: instrument's frame.
     locate: Callable[[Array, Array, Array], Array] | None = None
     #: Choice of the directions that no row determines, after the estimate: T_frame_base, shape
     #: (4, 4) [m], to an equivalent T_frame_base. None: they stay as the estimate left them.
@@ -226,10 +233,21 @@ class Kind(Value):
         return self.orientation and self.units == POSE_UNITS
 
     @property
+    def holds_pose(self) -> bool:
+        """True if the target is held in one pose: ``clasp``."""
+        return self.measure is None and not self.size and self.units == POSE_UNITS
+
+    @property
+    def holds_axis(self) -> bool:
+        """True if the target's z axis is held along that of the frame, and its turn about it is free: ``face``."""
+        of_target = self.target_directions or ()
+        return not self.orientation and {"rx", "ry"} <= {*of_target} and "rz" not in of_target
+
+    @property
     def coordinates(self) -> bool:
-        """True if the first lengths are the target's three coordinates: ``point``, ``pose``, ``fixed``."""
+        """True if the first lengths are the target's coordinates: ``point``, ``pose``, ``fixed``, ``clasp``."""
         held_at_point = self.units == _COORDINATES and not self.readings
-        return self.position or held_at_point
+        return self.position or held_at_point or self.holds_pose
 
     @property
     def vector_units(self) -> tuple[str, ...]:
@@ -237,7 +255,7 @@ class Kind(Value):
 
         ``"m"`` of a position, and ``"rad"`` of a whole orientation.
         """
-        whole = {"m": self.coordinates, "rad": self.orientation}
+        whole = {"m": self.coordinates, "rad": self.orientation or self.holds_pose}
         return tuple(
             unit for unit, is_vector in whole.items() if is_vector and self.units.count(unit) == 3
         )
@@ -249,6 +267,18 @@ class Kind(Value):
         Those of ``point`` and ``pose`` do, and of any kind of a user's that has ``directions`` and no ``own_frame``.
         """
         return bool(self.directions) and not self.own_frame
+
+    @property
+    def of_target(self) -> tuple[str, ...]:
+        """Directions of an unknown target that are estimated, of `DIRECTIONS`."""
+        if self.target_directions is not None:
+            return self.target_directions
+        return DIRECTIONS if self.depends_on_orientation else DIRECTIONS[:3]
+
+    @property
+    def is_contact(self) -> bool:
+        """True if nothing is read: the target is held where the kind says, in a socket or on a plane."""
+        return self.measure is None and not self.size
 
     @property
     def is_image(self) -> bool:
@@ -551,6 +581,63 @@ def _plane_frame(normal: Array, distance: float) -> Array:
     return T
 
 
+def _face_residual(_measured: Array, T: Array) -> Array:
+    """Return 0 - p_z [m] and 0 - w [rad] of targets at poses T (n, 4, 4) in the plane's frame, shape (n, 3)."""
+    e = _upward(T)
+    return np.stack([-T[:, 2, 3], e[:, 1], -e[:, 0]], axis=1)
+
+
+def _face_derivative(_measured: Array, T: Array, twists: Array) -> Array:
+    """Return the derivative of the height p_z and the tilts w by p parameters, from twists (n, 6, p): (n, 3, p).
+
+    A rotation omega of the target along the plane's axes moves its z axis e by omega x e.
+    """
+    motion = np.cross(twists[:, 3:], _upward(T)[:, :, None], axis=1)
+    return np.stack([twists[:, 2], -motion[:, 1], motion[:, 0]], axis=1)
+
+
+def _upward(T: Array) -> Array:
+    """Return the z axes of targets at poses T (n, 4, 4), or their opposites if these point up, shape (n, 3)."""
+    e = T[:, :3, 2]
+    return np.asarray(np.where(e[:, 2:] < 0.0, -e, e))
+
+
+def _faced_plane(T_base_target: Array, _measured: Array, _T_frame_base: Array) -> Array:
+    """Return T_frame_base of a frame in the plane on which targets at poses (n, 4, 4) in the base lie flat.
+
+    Its normal is the line nearest to their z axes, whichever way these point; its height is the mean of theirs.
+    """
+    z = T_base_target[:, :3, 2]
+    normal = np.linalg.svd(z)[2][0]
+    return _plane_frame(normal, float(np.mean(_position(T_base_target) @ normal)))
+
+
+# Poses that are held
+
+
+def _clasp_residual(_measured: Array, T: Array) -> Array:
+    """Return 0 - p [m] and log(R^T) [rad] of targets at poses T (n, 4, 4), shape (n, 6)."""
+    return _pose_residual(_held(T), T)
+
+
+def _clasp_derivative(_measured: Array, T: Array, twists: Array) -> Array:
+    """Return the derivative of position and orientation by p parameters as of a pose, shape (n, 6, p)."""
+    return _pose_derivative(_held(T), T, twists)
+
+
+def _held(T: Array) -> Array:
+    """Return the pose in which targets at poses T (n, 4, 4) are held, that of the frame, as read poses (n, 12)."""
+    return _pose_reading(np.broadcast_to(np.eye(4), T.shape))
+
+
+def _clasp_frame(T_base_target: Array, _measured: Array, _T_frame_base: Array) -> Array:
+    """Return T_frame_base of a frame at the mean of the targets' poses (n, 4, 4) in the base [m]."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_matrix(T_base_target[:, :3, :3]).mean().as_matrix()
+    T[:3, 3] = _position(T_base_target).mean(axis=0)
+    return rigid_inverse(T)
+
+
 # Images
 
 
@@ -599,7 +686,7 @@ _OPTICS = Internals(
 )
 
 
-# The seven kinds
+# The nine kinds
 
 _DISTANCE_READING = Reading("distance", positive=True)
 
@@ -679,6 +766,37 @@ _add(
         locate=_fitted_plane,
         settle=_settled_plane,
         place="Plane",
+    )
+)
+_add(
+    Kind(
+        name="face",
+        words="the target lies flat on one unknown plane",
+        units=("m", "rad", "rad"),
+        residual=_face_residual,
+        derivative=_face_derivative,
+        directions=("z", "rx", "ry"),
+        own_frame=True,
+        own_axes=True,
+        target_directions=("z", "rx", "ry"),
+        fewest=2,
+        locate=_faced_plane,
+        settle=_settled_plane,
+        place="Plane",
+    )
+)
+_add(
+    Kind(
+        name="clasp",
+        words="the target is held in one unknown pose",
+        units=POSE_UNITS,
+        residual=_clasp_residual,
+        derivative=_clasp_derivative,
+        own_frame=True,
+        target_directions=(),
+        fewest=2,
+        locate=_clasp_frame,
+        place="Clasp",
     )
 )
 _add(

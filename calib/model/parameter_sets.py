@@ -65,7 +65,7 @@ def error_model(
     name: str | Sequence[Parameter],
     *,
     frame: bool | Mapping[str, Sequence[str]] = False,
-    target: bool | Sequence[str] = True,
+    target: bool | Sequence[str] | Mapping[str, Sequence[str]] = True,
     targets: Sequence[str] = ("",),
     rotation: bool = False,
     gravity: ArrayLike = GRAVITY,
@@ -81,9 +81,11 @@ def error_model(
             ``"dh+compliance"``. Or the robot's own parameters themselves: a set called `OWN`.
         frame: True to estimate all six parameters of the one measurement frame; or for each station which of
             `DIRECTIONS` are estimated (none for a frame that is known).
-        target: True to estimate all targets, or the names of those that are estimated.
+        target: True to estimate all targets, or the names of those that are estimated, or which of `DIRECTIONS` are
+            estimated of each of them.
         targets: The names of all targets; "" for the only one.
-        rotation: True if targets are frames, of which six parameters are estimated; False for points.
+        rotation: True if targets are frames, of which six parameters are estimated; False for points. Not used where
+            ``target`` has the directions.
         gravity: Shape (3,), acceleration in the URDF's root [m/s^2]; the family ``gravity`` leaves out what it cannot
             bend.
         further: Further parameters, of cameras and boards, which come last.
@@ -164,7 +166,7 @@ def _robot_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tu
 
 def frame_and_target_model(
     frames: Mapping[str, Sequence[str]],
-    estimated: Sequence[str],
+    estimated: Sequence[str] | Mapping[str, Sequence[str]],
     targets: Sequence[str],
     *,
     rotation: bool = False,
@@ -173,16 +175,19 @@ def frame_and_target_model(
 
     Args:
         frames: Which of `DIRECTIONS` are estimated, by the name of each measurement frame; () for a known one.
-        estimated: Names of the targets that are estimated.
+        estimated: Names of the targets that are estimated, or which of `DIRECTIONS` are estimated of each of them.
         targets: Names of all targets.
-        rotation: True if targets are frames, of which six parameters are estimated; False for points.
+        rotation: True if targets are frames, of which six parameters are estimated; False for points. Not used where
+            ``estimated`` has the directions.
     """
     parameters = []
     for name, directions in frames.items():
         parameters += _placed_parameters("frame", FRAME, name, directions)
-    target_directions = DIRECTIONS if rotation else DIRECTIONS[:3]
-    for name in estimated:
-        parameters += _placed_parameters("target", TARGET, name, target_directions)
+    whole = DIRECTIONS if rotation else DIRECTIONS[:3]
+    if not isinstance(estimated, Mapping):
+        estimated = dict.fromkeys(estimated, whole)
+    for name, directions in estimated.items():
+        parameters += _placed_parameters("target", TARGET, name, directions)
     frame_places = [FRAME + name for name in frames]
     target_places = [TARGET + name for name in targets]
     places = (*frame_places, TIP, *target_places)

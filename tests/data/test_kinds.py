@@ -90,6 +90,8 @@ def moved(T, twist):
         ("pair", 1),
         ("fixed", 0),
         ("plane", 0),
+        ("face", 0),
+        ("clasp", 0),
         ("line", 1),
         ("tilt", 2),
     ],
@@ -114,6 +116,8 @@ def test_a_row_has_as_many_numbers_as_its_instrument_reads(name, size):
         ("pair", True, False, False),
         ("fixed", False, False, True),
         ("plane", False, False, False),
+        ("face", False, False, False),
+        ("clasp", False, False, True),
         ("line", True, True, False),
         ("tilt", False, True, False),
     ],
@@ -166,9 +170,44 @@ def test_sockets_and_anchors_are_found_in_frames_turned_as_they_are():
     np.testing.assert_allclose(socket, expected, atol=1e-14)
 
 
+def test_a_face_has_its_height_and_tilts_whichever_side_its_axis_points_to():
+    kind, T = get("face"), poses(1)
+    T[0, :3, 3] = 0.5, -0.4, 2e-3
+    for side in (1.0, -1.0):
+        # By 3 deg about x, then by any turn of the face about its axis.
+        T[0, :3, :3] = Rotation.from_euler("x", 3.0, degrees=True).as_matrix()
+        T[0, :3, :3] = T[0, :3, :3] @ Rotation.from_euler("z", 70.0, degrees=True).as_matrix()
+        T[0, :3, :3] = T[0, :3, :3] @ np.diag([1.0, side, side])
+        tilt = np.sin(np.deg2rad(3.0))
+        residual = kind.residual_of(np.zeros((1, 0)), T)
+        np.testing.assert_allclose(residual, [[-2e-3, -tilt, 0.0]], atol=1e-15)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_plane_is_found_from_the_faces_on_it_even_from_one_place(side):
+    rng = np.random.default_rng(3)
+    expected = np.eye(4)
+    expected[:3, :3], expected[2, 3] = PLANES["slope"][1], -0.3
+    on_plane = np.tile(np.eye(4), (3, 1, 1))
+    turns = Rotation.from_euler("z", rng.uniform(-3.0, 3.0, (3, 1))).as_matrix()
+    on_plane[:, :3, :3] = turns @ np.diag([1.0, side, side])
+    on_plane[:, :2, 3] = 0.2, -0.1
+    found = get("face").locate(np.linalg.inv(expected) @ on_plane, np.zeros((3, 0)), np.eye(4))
+    np.testing.assert_allclose(found, expected, atol=1e-14)
+
+
+def test_a_clasp_is_found_where_the_hand_is_on_average():
+    kind, T = get("clasp"), poses(1)
+    spread = [moved(T, sign * twist)[0] for twist in 1e-3 * np.eye(6) for sign in (1.0, -1.0)]
+    frame = kind.locate(np.array(spread), np.zeros((12, 0)), np.eye(4))
+    np.testing.assert_allclose(frame @ T[0], np.eye(4), atol=1e-9)
+    assert kind.vector_units == ("m", "rad")
+
+
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(
-    "name", ["point", "pose", "distance", "pair", "fixed", "plane", "line", "tilt"]
+    "name",
+    ["point", "pose", "distance", "pair", "fixed", "plane", "face", "clasp", "line", "tilt"],
 )
 def test_derivatives_against_differences_and_what_is_measured_has_no_residual(name):
     kind, T = get(name), poses(6)

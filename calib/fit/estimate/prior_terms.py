@@ -2,13 +2,16 @@
 
 Parameters of the robot have a normal prior about zero with the standard deviation of their family, unless the cell
 gives one of their own. Frames, targets and the bases of further robots are flat: a weak prior only keeps them finite.
+A target that contacts alone see counts as mounted where it was stated, within what mounting and drawing are off. Rows
+that determine its place outweigh this; those that hardly see it, as if a hand touches at few angles, would drive it far
+away.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, compress
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,6 +25,13 @@ from calib.model.error_model import FRAME, MOUNT, TARGET, ErrorModel
 #: Standard deviation of the weak prior of frames and targets about where they are registered, and of all parameters
 #: if priors are off, in the parameter's unit.
 _WEAK = 1.0
+
+#: Standard deviation with which a stated target is where it was stated [m]: beyond twice as far, 5 mm, a report says
+#: that it was given wrongly, not mounted inexactly.
+_STATED_POSITION = 2.5e-3
+
+#: The same of the angles of its axes, if these were stated [rad]: 5 mm over the width of a hand, 0.15 m, are 2 deg.
+_STATED_ANGLE = np.deg2rad(1.0)
 
 #: Standard deviation with which a parameter is held at its bound, in its unit.
 _FIXED = 1e-10
@@ -66,7 +76,8 @@ class PriorTerms:
                 given.
         """
         cell = task.cell
-        constrained = [*{**cell.bounds, **cell.parameter_priors}]
+        stated_std = _std_of_stated_targets(task.setup, model)
+        constrained = [*{**cell.bounds, **cell.parameter_priors, **stated_std}]
         if task.allow_absent:
             constrained = [name for name in constrained if name in model.names]
         numbers = [model.index(name) for name in constrained]
@@ -75,7 +86,7 @@ class PriorTerms:
         std_of_internals = {name: unknown.sigma for name, unknown in unknowns.items()}
         for k, _ in model.internals:
             origin[k] = unknowns[model.names[k]].mean
-        known_std = {**std_of_internals, **cell.parameter_priors}
+        known_std = {**std_of_internals, **stated_std, **cell.parameter_priors}
         std = np.array([known_std.get(name, np.nan) for name in model.names])
         has_own = np.isfinite(std)
         of_setup = model.family(FRAME, TARGET, MOUNT)
@@ -125,6 +136,22 @@ class PriorTerms:
             flat=self.flat & ~held,
             fixed=tuple(sorted(fixed)),
         )
+
+
+def _std_of_stated_targets(setup: Setup, model: ErrorModel) -> dict[str, float]:
+    """Return the prior standard deviations of stated targets that contacts alone see, by the names of parameters."""
+    if setup.target_prior is None:
+        return {}
+    _, places = setup.places
+    stated = {*compress(places, setup.target_prior)}
+    std = {"m": _STATED_POSITION}
+    if setup.rotation_stated:
+        std["rad"] = _STATED_ANGLE
+    return {
+        parameter.name: std[parameter.unit]
+        for parameter in model.parameters
+        if parameter.place in stated and parameter.unit in std
+    }
 
 
 def _origins(given: Setup, registered: Setup, model: ErrorModel, numbers: list[int]) -> Array:

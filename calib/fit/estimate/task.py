@@ -63,9 +63,8 @@ class Task(Value):
             self.robot,
             self.model,
             frame=setup.frame_unknowns,
-            target=setup.unknown_targets,
+            target=setup.target_unknowns,
             targets=setup.target_names,
-            rotation=setup.rotation,
             gravity=self.cell.gravity,
             further=[unknown.parameter for unknown in setup.internals],
         )

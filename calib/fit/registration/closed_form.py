@@ -11,6 +11,7 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array, Integers
 from calib.fit.registration.rows import Rows
@@ -159,22 +160,22 @@ def with_frames_fitted(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
         The setup with fitted frames; fixed ones, and those that no row sees, stay as they are.
     """
     T_base_target = T_base_tip @ setup.T_tip_target[rows.samples.target]
-    points = T_base_target[:, :3, 3]
     T_frame_base: Array = setup.T_frame_base.copy()
     for f, directions in enumerate(setup.unknown):
         of_frame = np.flatnonzero(rows.samples.frame == f)
         if directions and len(of_frame):
-            T_frame_base[f] = _fit_frame(setup, f, points, rows, of_frame)
+            T_frame_base[f] = _fit_frame(setup, f, T_base_target, rows, of_frame)
     return setup.with_poses(T_frame_base, setup.T_tip_target)
 
 
-def _fit_frame(setup: Setup, f: int, points: Array, rows: Rows, of_frame: Integers) -> Array:
+def _fit_frame(setup: Setup, f: int, T_base_target: Array, rows: Rows, of_frame: Integers) -> Array:
     """Fit frame f to its n rows, whose numbers are given, (n,): T_frame_base, (4, 4) [m]; see `with_frames_fitted`.
 
-    ``points`` are the predicted positions of all rows' targets in the base, (N, 3) [m].
+    ``T_base_target`` are the predicted poses of all rows' targets in the base, (N, 4, 4) [m].
     """
     T_frame_base = setup.T_frame_base[f]
-    points = points[of_frame]
+    T_base_target = T_base_target[of_frame]
+    points = T_base_target[:, :3, 3]
     measured = rows.measured[of_frame]
     has_position = rows.where(lambda kind: kind.position)[of_frame]
     if setup.wholly_unknown[f] and np.sum(has_position) >= _FEWEST_POINTS:
@@ -188,7 +189,8 @@ def _fit_frame(setup: Setup, f: int, points: Array, rows: Rows, of_frame: Intege
     if locating:
         kind, of_kind = max(locating, key=lambda one: len(one[0].units))
         assert kind.locate is not None
-        return kind.locate(points[of_kind], measured[of_kind, : kind.size], T_frame_base)
+        places = T_base_target if kind.depends_on_orientation else points
+        return kind.locate(places[of_kind], measured[of_kind, : kind.size], T_frame_base)
 
     result: Array = T_frame_base.copy()
     if np.any(has_position):
@@ -231,6 +233,41 @@ def with_measured_target_rotations(setup: Setup, T_base_tip: Array, rows: Rows) 
             R_measured = rows.measured[of_target, 3:12].reshape(-1, 3, 3)
             total = np.einsum("nji,njk->ik", R_frame_tip[of_target], R_measured)
             T_tip_target[t, :3, :3] = nearest_rotation(total)
+    return setup.with_poses(setup.T_frame_base, T_tip_target)
+
+
+def with_held_axes(setup: Setup, T_base_tip: Array, rows: Rows) -> Setup:
+    """Turn estimated targets so that their z axes, which their rows hold along those of the frames, turn least.
+
+    While a hand lies flat on a plane, its tip turns about the normal alone. With the mean R_f of the tip's rotations at
+    frame f an axis a of the tip has the mean direction R_f a, as long as a if it does not turn: a is the eigenvector of
+    sum_f n_f R_f^T R_f of the largest eigenvalue.
+
+    Args:
+        setup: Frames, and targets to be turned.
+        T_base_tip: shape (N, 4, 4), pose of the tip at each row [m].
+        rows: N rows.
+
+    Returns:
+        The setup with these targets turned by the least angle; itself if no row holds an axis of an estimated target.
+    """
+    holding = rows.where(lambda kind: kind.holds_axis)
+    T_tip_target: Array = setup.T_tip_target.copy()
+    for t in np.flatnonzero(setup.target_unknown):
+        total = np.zeros((3, 3))
+        for f in range(len(setup.groups)):
+            chosen = holding & (rows.samples.target == t) & (rows.samples.frame == f)
+            if np.any(chosen):
+                mean = T_base_tip[chosen, :3, :3].mean(axis=0)
+                total += np.sum(chosen) * mean.T @ mean
+        if np.any(total):
+            R = T_tip_target[t, :3, :3]
+            axis = R.T @ np.linalg.eigh(total)[1][:, -1]  # in the target
+            axis = -axis if axis[2] < 0.0 else axis
+            turn, _ = Rotation.align_vectors(axis[None], [[0.0, 0.0, 1.0]])
+            T_tip_target[t, :3, :3] = R @ turn.as_matrix()
+    if np.array_equal(T_tip_target, setup.T_tip_target):
+        return setup
     return setup.with_poses(setup.T_frame_base, T_tip_target)
 
 

@@ -80,9 +80,8 @@ def _refined(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, ErrorModel,
         robot,
         "frames",
         frame=registered.frame_unknowns,
-        target=registered.unknown_targets,
+        target=registered.target_unknowns,
         targets=registered.target_names,
-        rotation=registered.rotation,
     )
     model = registered.turn_directions(model)
     kinematics = Kinematics(robot, model, registered.T_frame_base, registered.T_tip_target)

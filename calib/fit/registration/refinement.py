@@ -17,6 +17,7 @@ from calib.basics.arrays import Array
 from calib.fit.registration.closed_form import (
     orientation_setup,
     with_frames_fitted,
+    with_held_axes,
     with_measured_target_rotations,
 )
 from calib.fit.registration.rows import Rows
@@ -47,7 +48,8 @@ def find_starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
 
     Returns:
         One setup if measured orientations determine it (`orientation_setup`); else one for each place where the targets
-        are tried, and each turn of a single frame, with the frames fitted to their rows.
+        are tried, also with their z axes where they turn least if these are held (`with_held_axes`), and each turn of
+        a single frame, with the frames fitted to their rows.
     """
     by_orientation = orientation_setup(setup, T_base_tip, rows)
     if by_orientation is not None:
@@ -63,7 +65,11 @@ def find_starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[Setup]:
                 R[:3, :3] = Rotation.from_euler(_AXES[direction], angle).as_matrix()
                 frames.append(setup.T_frame_base @ R)
     result = []
-    for T_frame_base, T_tip_target in itertools.product(frames, target_poses(setup)):
+    targets = target_poses(setup)
+    turned = with_held_axes(setup, T_base_tip, rows)
+    if turned is not setup:
+        targets += target_poses(turned)
+    for T_frame_base, T_tip_target in itertools.product(frames, targets):
         start = setup.with_poses(T_frame_base, T_tip_target)
         result.append(with_frames_fitted(start, T_base_tip, rows))
     return result
@@ -77,19 +83,19 @@ def target_poses(setup: Setup) -> list[Array]:
 
     Returns:
         Poses T_tip_target, each of shape (T, 4, 4) [m]: first all as they are; then, unless none is estimated, with all
-        estimated targets moved to one place, at several distances from the tip along either side of each of its axes,
-        and to the tip itself if the position of one was given. Orientations stay.
+        targets whose whole position is estimated moved to one place, at several distances from the tip along either
+        side of each of its axes, and to the tip itself if the position of one was given. Orientations stay.
     """
     result = [setup.T_tip_target]
-    if not setup.estimate_target:
+    if not np.any(setup.unknown_positions):
         return result
     axes = [*np.eye(3), *-np.eye(3)]
     offsets = [reach * axis for reach in _REACHES for axis in axes]
-    if np.any(setup.target_given & setup.target_unknown):
+    if np.any(setup.target_given & setup.unknown_positions):
         offsets.append(np.zeros(3))
     for offset in offsets:
         moved = setup.T_tip_target.copy()
-        moved[setup.target_unknown, :3, 3] = offset
+        moved[setup.unknown_positions, :3, 3] = offset
         result.append(moved)
     return result
 
@@ -134,9 +140,7 @@ def refine(start: Setup, T_base_tip: Array, rows: Rows, tolerance: float) -> tup
     Raises:
         SolverError: The residual is not finite at the start.
     """
-    model = frame_and_target_model(
-        start.frame_unknowns, start.unknown_targets, start.target_names, rotation=start.rotation
-    )
+    model = frame_and_target_model(start.frame_unknowns, start.target_unknowns, start.target_names)
     turned = start.turn_directions(model)
     system = partial(_system, turned, T_base_tip, rows, start)
     x0 = np.zeros(len(model))

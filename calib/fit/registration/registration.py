@@ -256,7 +256,7 @@ def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_need
     """
     numbers = int(np.sum(rows.used[part]))
     count = int(np.sum(part))
-    points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
+    points = rows.where(lambda kind: kind.coordinates and not kind.depends_on_orientation)
     too_few_points = points_needed and np.all(points[part]) and count < _FEWEST_POINTS
     if numbers < unknowns or too_few_points:
         raise MeasurementError(

@@ -57,6 +57,13 @@ class Setup(Value):
     internals: tuple[InternalUnknown, ...] = ()
     #: For each frame the link that it is mounted on, whose pose in it ``T_frame_base`` is; empty: the robot's base
     frame_links: tuple[str, ...] = ()
+    #: For each target the directions that are estimated if it is unknown; empty: its position, and if targets have an
+    #: orientation that too
+    target_directions: tuple[tuple[str, ...], ...] = ()
+    #: (T,), True for targets that contacts alone see, and whose position was stated: it counts as a prior; None: no one
+    target_prior: Mask | None = None
+    #: Whether the orientation of targets was stated
+    rotation_stated: bool = False
     #: For each target the link that it is mounted on, in which ``T_tip_target`` is its pose; empty: the robot's tip
     target_links: tuple[str, ...] = ()
 
@@ -117,6 +124,23 @@ class Setup(Value):
         return tuple(compress(self.target_names, self.target_unknown))
 
     @property
+    def target_unknowns(self) -> Mapping[str, tuple[str, ...]]:
+        """Estimated directions of each target that is estimated, by its name as in `target_names`."""
+        whole = DIRECTIONS if self.rotation else DIRECTIONS[:3]
+        directions = self.target_directions or (whole,) * len(self.targets)
+        named = zip(self.target_names, directions, strict=True)
+        return dict(compress(named, self.target_unknown))
+
+    @property
+    def unknown_positions(self) -> Mask:
+        """True for targets whose whole position is estimated, shape (T,)."""
+        unknowns = self.target_unknowns
+        return np.array(
+            [{*DIRECTIONS[:3]} <= {*unknowns.get(name, ())} for name in self.target_names],
+            dtype=bool,
+        )
+
+    @property
     def wholly_unknown(self) -> Mask:
         """True for frames that are estimated in all six directions, shape (F,)."""
         return np.array([len(directions) == len(DIRECTIONS) for directions in self.unknown])
@@ -125,8 +149,7 @@ class Setup(Value):
     def count(self) -> int:
         """Number of unknowns of all frames and targets: internals of instruments are not counted."""
         of_frames = sum(len(directions) for directions in self.unknown)
-        of_each_target = 6 if self.rotation else 3
-        of_targets = of_each_target * int(np.sum(self.target_unknown))
+        of_targets = sum(len(directions) for directions in self.target_unknowns.values())
         return of_targets + of_frames
 
     def with_poses(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
@@ -230,7 +253,8 @@ class Setup(Value):
         """Turn directions of frame and target parameters: a plane's to its own axes, a target's position to the tip's.
 
         An error model has the directions of a frame along the base's axes and those of a target along its own. With the
-        rotation R of T_frame_base a unit along one of the plane's axes e is the twist R^T e.
+        rotation R of T_frame_base a unit along one of the plane's axes e is the twist R^T e. A target of whose position
+        a part is estimated, such as a face's height, keeps its own axes.
 
         Args:
             model: Parameters of the robot, the frames and the targets, as `calib.model.parameter_sets` makes them.
@@ -241,7 +265,8 @@ class Setup(Value):
         frames, targets = self.places
         R_base_frame = self.T_frame_base[:, :3, :3].swapaxes(1, 2)
         R_target_tip = self.T_tip_target[:, :3, :3].swapaxes(1, 2)
-        R_of_targets = dict(zip(targets, R_target_tip, strict=True))
+        whole = compress(zip(targets, R_target_tip, strict=True), self.unknown_positions)
+        R_of_targets = dict(whole)
         planes = compress(zip(frames, R_base_frame, strict=True), self.own_axes)
         R_of_planes = dict(planes)
 

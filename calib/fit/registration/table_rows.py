@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -252,6 +252,24 @@ def measurement_setup(
     if cell.bases or cell.tips:
         base, tip = cell.base or robot.urdf.root, cell.tip or robot.tip
 
+    # Of each target the directions that its kinds of rows depend on.
+    kinds_of_targets = set(zip(measurements.targets, measurements.kinds, strict=True))
+    target_directions = []
+    for name in targets:
+        seen_by = [registry.get(kind) for target, kind in kinds_of_targets if target == name]
+        observable = {direction for kind in seen_by for direction in kind.of_target}
+        target_directions.append(tuple(d for d in DIRECTIONS if d in observable))
+    is_stated = np.array([position is not None for position in positions])
+    pairs = set(zip(measurements.groups, measurements.targets, strict=True))
+    seen = [(groups.index(group), targets.index(target)) for group, target in pairs]
+    for t in _common_heights(unknown, target_directions, seen):
+        target_directions[t] = tuple(d for d in target_directions[t] if d != "z")
+    is_located = np.array([bool(directions) for directions in target_directions])
+    not_contacts = {
+        target for target, kind in kinds_of_targets if not registry.get(kind).is_contact
+    }
+    in_contact = np.array([name not in not_contacts for name in targets])
+
     rotation = any(kind.depends_on_orientation for kind in kinds)
     return Setup(
         groups=groups,
@@ -260,14 +278,41 @@ def measurement_setup(
         T_tip_target=read_only(T_tip_target),
         unknown=tuple(unknown),
         frame_given=np.array(frame_given),
-        target_unknown=np.full(len(targets), cell.estimate_target),
-        target_given=np.array([position is not None for position in positions]),
+        target_unknown=is_located & cell.estimate_target,
+        target_given=is_stated | ~is_located,
+        target_directions=tuple(target_directions),
+        target_prior=in_contact & is_stated,
+        rotation_stated=cell.target_rotation is not None,
         rotation=rotation,
         own_axes=np.array(own_axes),
         oriented=cell.target_rotation is not None or rotation,
         frame_links=tuple(cell.bases.get(group, base) for group in groups),
         target_links=tuple(cell.tips.get(name, tip) for name in targets),
     )
+
+
+def _common_heights(
+    frame_directions: Sequence[Sequence[str]],
+    target_directions: Sequence[Sequence[str]],
+    seen: Collection[tuple[int, int]],
+) -> list[int]:
+    """Return targets, by number, whose height is not estimated, because it is that of the planes that they touch.
+
+    If all planes and the faces that lie on them rise by one height, no row changes: of each such set one face keeps its
+    height as stated, or is at its tip, unless that of a plane is known. ``seen`` has the numbers of frames and targets
+    that occur together; the others are of each frame and each target.
+    """
+    frames = len(frame_directions)
+    together = [(f, frames + t) for f, t in seen]
+    label = joined_labels(np.arange(frames + len(target_directions)), together)
+    free = ["z" in directions and "x" not in directions for directions in target_directions]
+    rising = ["z" in directions for directions in frame_directions] + free
+    result: dict[int, int] = {}
+    for t, is_free in enumerate(free):
+        of_set = np.flatnonzero(label == label[frames + t])
+        if is_free and all(rising[k] for k in of_set):
+            result.setdefault(int(label[frames + t]), t)
+    return list(result.values())
 
 
 def _check_names(

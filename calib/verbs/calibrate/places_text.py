@@ -13,7 +13,7 @@ from calib.basics.arrays import Array
 from calib.data.kinds import Kind
 from calib.diagnosis.reasons import USE
 from calib.model.error_model import BOARD, CAMERA, Parameter
-from calib.model.parameter_sets import placed_name
+from calib.model.parameter_sets import DIRECTIONS, placed_name
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.show.lines import deg, mm, number
@@ -47,14 +47,21 @@ def target_sentences(c: Calibration) -> list[str]:
         if not c.setup.target_unknown[t]:
             sentences.append(f"{label}: {place}, as given.")
             continue
-        if placed_name("target", "x", name) not in c.model.names:
+        directions = [d for d in DIRECTIONS if placed_name("target", d, name) in c.model.names]
+        if not directions:
             sentences.append(f"{label}: registered to its validation rows, {place}.")
             continue
 
-        interval = f"95 % ± ({_half_widths(c, 'target', 'xyz', name)}) mm"
-        if c.setup.rotation:
-            angles = _half_widths(c, "target", ("rx", "ry", "rz"), name)
-            interval += f" and ({angles}) deg about its axes"
+        lengths = [d for d in directions if d in "xyz"]
+        angles = [d for d in directions if d not in "xyz"]
+        parts = []
+        if lengths:
+            along = "" if len(lengths) == 3 else f" along its {', '.join(lengths)}"
+            parts.append(f"({_half_widths(c, 'target', lengths, name)}) mm{along}")
+        if angles:
+            axes = "axes" if len(angles) == 3 else ", ".join(d[1] for d in angles)
+            parts.append(f"({_half_widths(c, 'target', angles, name)}) deg about its {axes}")
+        interval = f"95 % ± {' and '.join(parts)}"
         if not c.setup.target_given[t]:
             sentences.append(f"{label}: estimated at {place}, {interval}.")
             continue

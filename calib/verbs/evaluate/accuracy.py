@@ -223,9 +223,9 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     elif np.array_equal(judged, measured & m.validation):
         name = "validation"
 
-    # A target has 3 unknowns, or 6 if orientations were measured; a frame as many as its unknown directions.
-    of_target = 6 if setup.rotation else 3
-    unknowns = of_target * int(np.sum(setup.target_unknown & ~setup.target_given))
+    # Targets and frames have as many unknowns as unknown directions.
+    not_given = setup.with_fixed(np.zeros(len(setup.groups), dtype=bool), setup.target_given)
+    unknowns = sum(len(directions) for directions in not_given.target_unknowns.values())
     for directions, given in zip(setup.unknown, setup.frame_given, strict=True):
         if not given:
             unknowns += len(directions)

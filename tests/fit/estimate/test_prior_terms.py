@@ -51,3 +51,19 @@ def test_where_priors_are_off_all_families_have_a_weak_one(virtual, model):
     holds = prior_terms(virtual, model, priors=Priors("off"))
     assert holds.start == (1.0, 1.0, 1.0, 1.0)
     assert holds.source == "off"
+
+
+@pytest.mark.parametrize("kind", ["fixed", "plane"])
+def test_a_stated_target_has_a_prior_if_contacts_alone_see_it(virtual, model, kind):
+    names = ["target_x", "target_y", "target_z"]
+    lengths = [model.index(name) for name in names]
+    angles = [model.index(name) for name in ("target_rx", "target_ry", "target_rz")]
+    holds = prior_terms(virtual, model, kind=kind)
+    assert holds.precision[lengths] == pytest.approx(1.0 / 2.5e-3**2)
+    assert holds.precision[angles] == pytest.approx(1.0)  # no orientation was stated
+    assert holds.mean[lengths] == pytest.approx([-1e-3, 0.0, 0.0])
+    assert not np.any(holds.flat[lengths])
+    known = prior_terms(virtual, model, kind=kind, target_rotation=np.eye(3))
+    assert known.precision[angles] == pytest.approx(1.0 / np.deg2rad(1.0) ** 2)
+    own = prior_terms(virtual, model, kind=kind, parameter_priors={"target_y": 2e-4})
+    assert own.precision[lengths[1]] == pytest.approx(2.5e7)

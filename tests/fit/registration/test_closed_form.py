@@ -14,9 +14,12 @@ from calib.fit.registration.closed_form import (
     nearest_rotation,
     orientation_setup,
     with_frames_fitted,
+    with_held_axes,
     with_measured_target_rotations,
 )
+from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
+from tests.fit.registration.tables import as_kind
 
 
 def measured(scene, table, cell):
@@ -98,3 +101,58 @@ def test_the_nearest_rotation_is_right_handed():
     R = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
     np.testing.assert_allclose(nearest_rotation(2.5 * R), R, atol=1e-12)
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -0.1]))) == pytest.approx(1.0)
+
+
+def on_planes(rng, T_tip_target, planes):
+    """Poses of a tip, (N, 4, 4), whose face lies on planes, T_frame_base each, six times, turned and moved anyhow."""
+    T_base_tip = []
+    for T_frame_base in planes:
+        for _ in range(6):
+            T = np.eye(4)
+            T[:3, :3] = Rotation.from_euler("z", rng.uniform(-2.0, 2.0)).as_matrix()
+            T[:2, 3] = rng.uniform(-0.5, 0.5, 2)
+            T_base_tip.append(np.linalg.inv(T_frame_base) @ T @ np.linalg.inv(T_tip_target))
+    return np.array(T_base_tip)
+
+
+def random_pose(rng):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()
+    T[:3, 3] = rng.uniform(-0.3, 0.3, 3)
+    return T
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_axis_of_a_face_is_that_which_turns_least(scene, join, count):
+    rng = np.random.default_rng(count)
+    T_tip_target = random_pose(rng)
+    T_base_tip = on_planes(rng, T_tip_target, [random_pose(rng) for _ in range(count)])
+    tables = [replace(as_kind(scene.points(6), "face"), groups=(str(k),) * 6) for k in range(count)]
+    rows, setup = rows_and_setup(scene.robot, join(*tables), Cell())
+    found = with_held_axes(setup, T_base_tip, rows).T_tip_target[0, :3, 2]
+    assert abs(found @ T_tip_target[:3, 2]) == pytest.approx(1.0, abs=1e-12)
+    assert found[2] >= 0.0  # by the least angle from where it was
+    points = as_kind(scene.points(6), "plane")
+    rows, setup = rows_and_setup(scene.robot, points, Cell())
+    assert with_held_axes(setup, T_base_tip[:6], rows) is setup
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_planes_and_the_faces_of_two_hands_are_registered(scene, join, seed):
+    """Two hands on two planes, of which nothing is known: their tilts, and one height against the other."""
+    rng = np.random.default_rng(seed)
+    hands, planes = [random_pose(rng) for _ in range(2)], [random_pose(rng) for _ in range(2)]
+    names = [("0", "a"), ("1", "a"), ("0", "b"), ("1", "b")]
+    tables = [
+        replace(as_kind(scene.points(6), "face"), groups=(plane,) * 6, targets=(hand,) * 6)
+        for plane, hand in names
+    ]
+    rows, setup = rows_and_setup(scene.robot, join(*tables), Cell())
+    T_base_tip = np.concatenate([on_planes(rng, hand, planes) for hand in hands])
+    found = register(T_base_tip, setup, rows)
+    residual = rows.residual(found.target_poses(T_base_tip, rows.samples))
+    np.testing.assert_allclose(residual, 0.0, atol=1e-9)
+    for hand, T in zip(hands, found.T_tip_target, strict=True):
+        assert abs(T[:3, 2] @ hand[:3, 2]) == pytest.approx(1.0, abs=1e-12)
+    # The plane is as far away as the first hand's face is from its tip.
+    assert found.T_tip_target[0, :3, 3] == pytest.approx(np.zeros(3), abs=1e-12)

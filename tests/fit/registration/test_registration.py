@@ -205,10 +205,8 @@ def test_the_derivative_in_every_frame_and_target_against_differences(make_scene
     table = join(scene.poses(4, 0, 0), scene.points(4, 1, 1), scene.distances(4, 2, 0))
     rows, setup = rows_and_setup(scene.robot, table, FREE)
     setup = setup.with_poses(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
-    model = frame_and_target_model(
-        setup.frame_unknowns, setup.unknown_targets, setup.targets, rotation=True
-    )
-    assert len(model) == setup.count == 6 + 6 + 3 + 12
+    model = frame_and_target_model(setup.frame_unknowns, setup.target_unknowns, setup.targets)
+    assert len(model) == setup.count == 6 + 6 + 3 + 6 + 3  # points tell nothing of a turn
     assert FRAME + "1" in model.places
     T_base_tip = scene.robot.poses(rows.joints)
     x = 0.1 * np.random.default_rng(12).normal(size=len(model))
@@ -397,9 +395,7 @@ def test_poses_are_registered_by_least_squares(make_scene, join, cell):
     rows, setup = rows_and_setup(scene.robot, join(scene.poses(12), scene.poses(12, 0, 1)), cell)
     T_base_tip = scene.robot.poses(rows.joints)
     found = register(T_base_tip, setup, rows)
-    model = frame_and_target_model(
-        found.frame_unknowns, found.unknown_targets, found.targets, rotation=True
-    )
+    model = frame_and_target_model(found.frame_unknowns, found.target_unknowns, found.targets)
     r, J = _system(model, T_base_tip, rows, found, np.zeros(len(model)))
     gradient = J.T @ r / (np.linalg.norm(J, axis=0) * np.linalg.norm(r))
     assert np.abs(gradient).max() < 1e-5

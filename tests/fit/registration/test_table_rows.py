@@ -31,6 +31,8 @@ def setup_of(table, cell):
         ("distance", ("x", "y", "z")),
         ("fixed", ("x", "y", "z")),
         ("plane", ("z", "rx", "ry")),
+        ("face", ("z", "rx", "ry")),
+        ("clasp", ALL),
         ("pair", ()),
         ("point", ()),
     ],
@@ -48,7 +50,38 @@ def test_sockets_planes_and_anchors_are_unknown_whatever_is_said_of_the_frame(
     if kind == "point" and estimate_frame:
         unknown = ALL
     assert setup.unknown == (unknown,)
-    assert setup.own_axes.tolist() == [kind == "plane"]
+    assert setup.own_axes.tolist() == [kind in ("plane", "face")]
+
+
+def faces(scene, join, pairs):
+    """Rows of hands flat on planes, by the names of both."""
+    tables = []
+    for plane, hand in pairs:
+        table = as_kind(scene.points(4), "face")
+        tables.append(replace(table, groups=(plane,) * 4, targets=(hand,) * 4))
+    return join(*tables)
+
+
+def test_the_height_of_one_face_is_that_of_the_planes_it_is_joined_to(scene, join):
+    seen = [("table", "a"), ("table", "b"), ("wall", "c"), ("wall", "a"), ("door", "d")]
+    setup = setup_of(faces(scene, join, seen), Cell())
+    with_height, tilts = ("z", "rx", "ry"), ("rx", "ry")
+    assert setup.target_unknowns == {"a": tilts, "b": with_height, "c": with_height, "d": tilts}
+    # A known plane gives all hands on it a height.
+    known = setup_of(faces(scene, join, seen), Cell(frames={"wall": np.eye(4)}))
+    assert known.target_unknowns["a"] == with_height
+    assert known.target_unknowns["d"] == tilts
+    assert known.count == 3 + 0 + 3 + 3 * 3 + 2
+
+
+def test_a_clasped_target_is_part_of_its_frame_unless_other_rows_see_it(scene, join):
+    clasped = as_kind(scene.points(4), "clasp")
+    alone = setup_of(clasped, Cell())
+    assert (alone.count, alone.estimate_target, alone.target_given.tolist()) == (6, False, [True])
+    seen = replace(scene.points(4), groups=("tracker",) * 4)
+    both = setup_of(join(replace(clasped, groups=("grip",) * 4), seen), Cell())
+    assert both.target_unknowns == {"": ("x", "y", "z")}
+    assert both.target_prior.tolist() == [False]
 
 
 def test_each_group_has_the_unknowns_of_its_kinds(scene, join):
