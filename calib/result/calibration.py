@@ -412,6 +412,28 @@ class Calibration(Value):
         chain = self.setup.chains(self.nominal, frame, target_index)
         return replace(samples, frame=frame, target=target_index, chain=chain)
 
+    def transform(self, from_name: str, to_name: str) -> Any:  # noqa: ANN401  made in a module above
+        """Return the constant pose of one thing in another on the same rigid body, with its covariance.
+
+        It is that of the geometry: of two cameras on a wall, two boards on a hand, a tracker and a base, two robots.
+
+        Args:
+            from_name: Name of a station, which stands for its measurement frame (``"frame"`` if the table has none), a
+                target, a further robot (its root link), or a link; ``"station:left"``, ``"target:left"``,
+                ``"robot:left"``, ``"link:left"`` if several things are called left.
+            to_name: Name of the one whose pose is wanted.
+
+        Returns:
+            A `calib.result.transforms.Transform`: ``pose``, T_from_to (4, 4) [m], and ``covariance`` (6, 6) of the
+            displacement [m] and rotation [rad] of ``to`` along and about the axes of ``from``.
+
+        Raises:
+            ModelError: There is nothing of that name, two things have it, no row determines its pose, or joints move
+                between them.
+        """
+        transforms = shown_by("result.transforms")
+        return transforms.transform(self, from_name, to_name)
+
     def predict_poses(
         self,
         q: ArrayLike,
