@@ -133,24 +133,27 @@ class Calibration(Value):
         """Return the result as text, without colours."""
         return str(shown_by("verbs.calibrate.report").summary(self))
 
-    def checked_urdf(self, *, target_link: bool = False) -> Urdf:
+    def checked_urdf(self, *, target_link: bool = False, frame_link: bool = False) -> Urdf:
         """Return the URDF that `write_urdf` writes, read back with Pinocchio and yourdfpy.
 
         A verdict ``do not use`` stands in it as a comment; it is not obeyed here.
 
         Args:
-            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to its link; of several targets
+                ``calib_target_NAME`` at each.
+            frame_link: Whether it has a link ``calib_frame`` at the measurement frame; of several ``calib_frame_NAME``
+                at each that has a pose.
 
         Returns:
             The corrected URDF, the geometry alone.
 
         Raises:
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or
-                the URDF has another link ``calib_target``.
-            ModelError: ``target_link`` with several targets, which one link cannot stand for.
+                the URDF has another link of such a name.
+            ModelError: ``frame_link`` if no frame has a pose.
         """
         written = shown_by("verbs.calibrate.write_urdf")
-        urdf: Urdf = written.checked_urdf(self, target_link=target_link)
+        urdf: Urdf = written.checked_urdf(self, target_link=target_link, frame_link=frame_link)
         return urdf
 
     def write_urdf(
@@ -159,6 +162,7 @@ class Calibration(Value):
         *,
         overwrite: bool = False,
         target_link: bool = False,
+        frame_link: bool = False,
         accept: bool = False,
     ) -> Path:
         """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and yourdfpy.
@@ -166,7 +170,10 @@ class Calibration(Value):
         Args:
             path: The file.
             overwrite: Whether a file that exists is replaced.
-            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to its link; of several targets
+                ``calib_target_NAME`` at each.
+            frame_link: Whether it has a link ``calib_frame`` at the measurement frame; of several ``calib_frame_NAME``
+                at each that has a pose.
             accept: Whether it is written also where the verdict is ``do not use``; the verdict then stands in it as a
                 comment before ``<robot>``.
 
@@ -177,15 +184,20 @@ class Calibration(Value):
             ArgumentError: The path is of another type.
             VerdictError: The verdict is ``do not use``, and ``accept`` is not given.
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or the URDF has another
-                link ``calib_target``.
-            ModelError: ``target_link`` with several targets, which one link cannot stand for.
+                link of such a name.
+            ModelError: ``frame_link`` if no frame has a pose.
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
         written = shown_by("verbs.calibrate.write_urdf")
         return Path(
             written.write_urdf(
-                self, path, overwrite=overwrite, target_link=target_link, accept=accept
+                self,
+                path,
+                overwrite=overwrite,
+                target_link=target_link,
+                frame_link=frame_link,
+                accept=accept,
             )
         )
 

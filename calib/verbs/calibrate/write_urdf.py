@@ -4,16 +4,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from calib.errors import ModelError, UrdfError, VerdictError, choices
+from calib.basics.arrays import Array, rigid_inverse
+from calib.errors import ModelError, UrdfError, VerdictError
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
+from calib.result.transforms import has_pose
+from calib.robot.joined_urdf import SEPARATOR
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
-from calib.robot.urdf import TARGET_LINK, Urdf
+from calib.robot.urdf import FRAME_LINK, TARGET_LINK, Urdf
 from calib.show.verdict_text import do_not_use_text, refusal
+
+
+class AddedLink(NamedTuple):
+    """A link that is added to a URDF, fixed to another."""
+
+    #: Its name
+    name: str
+    #: The link that it is fixed to
+    parent: str
+    #: Its pose there, (4, 4) [m]
+    T_parent_link: Array
 
 
 def write_urdf(
@@ -22,6 +37,7 @@ def write_urdf(
     *,
     overwrite: bool = False,
     target_link: bool = False,
+    frame_link: bool = False,
     accept: bool = False,
 ) -> Path:
     """Write the corrected URDF; a verdict against it that is not accepted raises `VerdictError`.
@@ -31,9 +47,15 @@ def write_urdf(
     verdict_against = do_not_use_text(c.verdict)
     if verdict_against and not accept:
         raise VerdictError(refusal(f"'{path}'", verdict_against))
-    urdf = checked_urdf(c, target_link=target_link)
+    urdf = checked_urdf(c, target_link=target_link, frame_link=frame_link)
     if c.robot.parts:
+        links = added_links(c, target_link=target_link, frame_link=frame_link)
+        names = [part.name for part in c.robot.parts if part.name]
         for name, own in c.robot.own_urdfs().items():
+            for link in links:
+                robot, _, parent = link.parent.rpartition(SEPARATOR)
+                if (robot if robot in names else "") == name:
+                    own = _with_link(own, link._replace(parent=parent))
             described = own.with_comments(run=c.run, verdict=verdict_against)
             described.write(path_of_robot(path, name), overwrite=overwrite)
     return urdf.write(path, overwrite=overwrite)
@@ -50,31 +72,14 @@ def path_of_robot(path: str | Path, name: str) -> Path:
     return of_cell.with_name(f"{of_cell.stem}_{name or 'first'}{of_cell.suffix}")
 
 
-def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
-    """Return the corrected URDF, with a link at the target if wanted, after reading it back as a check.
+def checked_urdf(c: Calibration, *, target_link: bool = False, frame_link: bool = False) -> Urdf:
+    """Return the corrected URDF, with links at targets and frames if wanted, after reading it back as a check.
 
-    A link for one of several targets raises `ModelError`; see `Calibration.checked_urdf`.
+    See `Calibration.checked_urdf`.
     """
     urdf = c.robot.urdf
-    if target_link:
-        names = c.setup.targets
-        if len(names) > 1:
-            raise ModelError(
-                f"There are {len(names)} targets, {choices(names)}; a target link can be written for one."
-            )
-        tip = c.setup.target_links[0] if c.setup.target_links else c.robot.tip
-        T_tip_target = c.setup.T_tip_target[0]
-        if TARGET_LINK not in urdf.links:
-            urdf = urdf.with_link(TARGET_LINK, tip, T_tip_target)
-        else:
-            # A link of an earlier calibration is moved.
-            joint = next(joint for joint in urdf.joints if joint.child == TARGET_LINK)
-            if joint.parent != tip or joint.type != "fixed":
-                raise UrdfError(
-                    f"The URDF has a link '{TARGET_LINK}' already, not fixed to '{tip}' but a child of "
-                    f"'{joint.parent}' by a {joint.type} joint. Rename it, or do without the target link."
-                )
-            urdf = urdf.with_origins({joint.name: T_tip_target})
+    for link in added_links(c, target_link=target_link, frame_link=frame_link):
+        urdf = _with_link(urdf, link)
     robot = c.robot.with_urdf(urdf)
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
@@ -82,3 +87,50 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
     samples = replace(Samples.at(np.tile(q, (len(robot.chains), 1))), chain=chain)
     check_written(robot, c.geometry.tips(samples), q, c.nominal)
     return urdf
+
+
+def added_links(
+    c: Calibration, *, target_link: bool = False, frame_link: bool = False
+) -> list[AddedLink]:
+    """Return the links at the targets and at the measurement frames of a result.
+
+    Args:
+        c: The result.
+        target_link: Whether there is one at each target, ``calib_target``, or ``calib_target_NAME`` of several.
+        frame_link: Whether there is one at each frame that has a pose, ``calib_frame`` or ``calib_frame_NAME``.
+
+    Raises:
+        ModelError: No frame has a pose.
+    """
+    setup = c.setup
+    links = []
+    if target_link:
+        tips = setup.target_links or (c.robot.tip,) * len(setup.targets)
+        for name, tip, T in zip(setup.targets, tips, setup.T_tip_target, strict=True):
+            link = TARGET_LINK if len(tips) == 1 else f"{TARGET_LINK}_{name}"
+            links.append(AddedLink(link, tip, T))
+    if frame_link:
+        bases = setup.frame_links or (c.robot.base,) * len(setup.groups)
+        posed = [f for f in range(len(bases)) if has_pose(c, f)]
+        if not posed:
+            raise ModelError(
+                "No row determines the pose of a measurement frame: sockets, anchors and planes have none, and pairs "
+                "tell no place. Do without the links of the frames."
+            )
+        for f in posed:
+            link = FRAME_LINK if len(bases) == 1 else f"{FRAME_LINK}_{setup.groups[f]}"
+            links.append(AddedLink(link, bases[f], rigid_inverse(setup.T_frame_base[f])))
+    return links
+
+
+def _with_link(urdf: Urdf, link: AddedLink) -> Urdf:
+    """Return a URDF with a link; one of an earlier calibration is moved, any other of its name raises `UrdfError`."""
+    if link.name not in urdf.links:
+        return urdf.with_link(link.name, link.parent, link.T_parent_link)
+    joint = next(joint for joint in urdf.joints if joint.child == link.name)
+    if joint.parent != link.parent or joint.type != "fixed":
+        raise UrdfError(
+            f"The URDF has a link '{link.name}' already, not fixed to '{link.parent}' but a child of "
+            f"'{joint.parent}' by a {joint.type} joint. Rename it, or do without this link."
+        )
+    return urdf.with_origins({joint.name: link.T_parent_link})
