@@ -23,6 +23,7 @@ def load(
     cell: Cell,
     measured: Collection[str] | None = None,
     sights: Iterable[Sight] | None = None,
+    result: Calibration | None = None,
 ) -> Robot:
     """Load a robot between the links of the cell's frames and targets, with the joints that the cell holds and couples.
 
@@ -31,6 +32,7 @@ def load(
         cell: Names links, held joints and coupled readings.
         measured: Names of the joints whose values are known, which decide a tip that the cell does not name; None: all.
         sights: Stations and targets that occur together; None: all that the cell names.
+        result: A result whose robot has several chains or further robots: the robot gets them; None: none.
 
     Returns:
         The robot.
@@ -38,9 +40,11 @@ def load(
     Raises:
         CalibError: As of `Robot.load`.
     """
-    from calib.data.cell_chains import robot_of_cell
+    from calib.data.cell_chains import robot_of_cell, robot_with_chains_of
     from calib.robot.urdf import read_urdf
 
+    if result is not None and (result.nominal.branches or result.nominal.parts):
+        return robot_with_chains_of(result.nominal, read_urdf(robot), cell.held)
     return robot_of_cell(read_urdf(robot), cell, measured, sights)
 
 
@@ -49,6 +53,7 @@ def load_with_data(
     cell: Cell,
     data: Path,
     table_options: TableOptions | None = None,
+    result: Calibration | None = None,
 ) -> tuple[Robot, Measurements]:
     """Load a robot and a table whose joint columns are those of its chain.
 
@@ -59,6 +64,7 @@ def load_with_data(
         cell: Names base, tip, held joints, coupled readings and the kind of the rows.
         data: The table.
         table_options: How the table is read, as typed; None: nothing was.
+        result: As of `load`.
 
     Returns:
         Robot and measurements.
@@ -87,7 +93,7 @@ def load_with_data(
     columns = options.parsed()
     table = Table.read(data)
     sights = sights_of(table, columns) if cell.bases or cell.tips else None
-    arm = load(robot, cell, column_names(table, columns), sights)
+    arm = load(robot, cell, column_names(table, columns), sights, result)
     measurements = Measurements.read(
         table,
         arm.joint_names,
@@ -114,6 +120,7 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
             couples other readings.
     """
     chain = result.nominal
+    cell = _with_links_of_result(cell, result, name)
     for option, given, required in (
         ("base", cell.base, chain.base),
         ("tip", cell.tip, chain.tip),
@@ -125,6 +132,20 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
     held = {**chain.held, **cell.held}
     coupling = coupling_of_result(cell, result, name)
     return replace(cell, base=chain.base, tip=chain.tip, held=held, coupling=coupling)
+
+
+def _with_links_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
+    """Return the cell with the links of a result's frames and targets; CalibError if it names another for one."""
+    of_result = result.setup.in_cell(cell)
+    pairs = (("base", cell.bases, of_result.bases), ("tip", cell.tips, of_result.tips))
+    for option, given, required in pairs:
+        for key, link in given.items():
+            if required.get(key) != link:
+                raise CalibError(
+                    f"{name} is the result for --{option} '{key}={required.get(key, 'another link')}', but "
+                    f"'{key}={link}' was given. Leave it out: the result contains it."
+                )
+    return of_result
 
 
 def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[str, Any]:

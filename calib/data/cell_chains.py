@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 
@@ -94,4 +94,31 @@ def robot_of_cell(
     branches = [(other_base, other_tip or tip) for other_base, other_tip in others]
     return Robot.from_urdf(
         urdf, base, tip, held=cell.held, coupling=cell.coupling, branches=branches, parts=parts
+    )
+
+
+def robot_with_chains_of(source: Robot, urdf: Urdf, held: Mapping[str, float]) -> Robot:
+    """Return a robot of a URDF with the chains of another one, such as that of a result.
+
+    Args:
+        source: The other robot, whose base, tip, branches, coupled readings and further robots it gets.
+        urdf: The URDF: of the whole cell, or of its first robot, which the further ones then join where they stand
+            around ``source``.
+        held: Values of joints that stay where they are [rad or m].
+
+    Raises:
+        UrdfError: It lacks a link or a joint.
+    """
+    further = tuple(part for part in source.parts if part.name)
+    if any(part.mount not in {joint.name for joint in urdf.joints} for part in further):
+        mounts = {part.name: source.urdf.joint(part.mount).T_parent_joint for part in further}
+        urdf = joined_urdf(urdf, further, mounts)
+    return Robot.from_urdf(
+        urdf,
+        source.base,
+        source.tip,
+        held=held,
+        coupling=source.reading_coupling,
+        branches=[(branch.base, branch.tip) for branch in source.branches],
+        parts=source.parts,
     )

@@ -420,7 +420,10 @@ class Views:
         middle = sums / count[:, None]
         sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         cosine = np.abs(np.sum(sight * T_camera_board[first, :3, 2], axis=1))
-        R_base_tip = fitted.task.robot.poses(images.joints[first])[:, :3, :3]
+        R_base_tip = fitted.task.robot.poses(
+            images.joints[first], images.select(first).samples.chain
+        )
+        R_base_tip = R_base_tip[:, :3, :3]
         return cls(count, np.arccos(np.minimum(cosine, 1.0)), R_base_tip)
 
 

@@ -242,11 +242,12 @@ def evaluate(
     if known is not None:
         setup = replace(_with_known(setup, known, which), internals=known.internals)
     if non_geometric is None:
-        T_base_tip = arm.poses(rows.joints)
+        T_base_tip = arm.poses(rows.joints, rows.samples.chain)
     else:
         kinematics = replace(non_geometric.kinematics, robot=arm)
         model = replace(non_geometric, kinematics=kinematics)
-        T_base_tip = model.tips(Samples.at(rows.joints, rows.samples.load, rows.samples.moves))
+        samples = Samples.at(rows.joints, rows.samples.load, rows.samples.moves)
+        T_base_tip = model.tips(replace(samples, chain=rows.samples.chain))
 
     # Frames and targets that were not given, and what only the other rows see of them.
     chosen = registration_rows(table)
