@@ -15,7 +15,7 @@ An inverse (T exp(xi))^-1 = T^-1 exp(-Ad(T) xi).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,7 +129,12 @@ def find(c: Calibration, name: str) -> Placed:
     stations = {group or ONLY_FRAME: f for f, group in enumerate(c.setup.groups)}
     targets = {target: t for t, target in enumerate(c.setup.targets)}
     robots = {part.name: part for part in c.robot.parts if part.name}
-    names = {STATION: stations, TARGET: targets, ROBOT: robots, LINK: urdf.links}
+    names: dict[str, Collection[str]] = {
+        STATION: stations,
+        TARGET: targets,
+        ROBOT: robots,
+        LINK: urdf.links,
+    }
     what, colon, after = name.partition(":")
     kinds = [kind for kind, known in names.items() if name in known]
     if not kinds and colon and what in names and after in names[what]:

@@ -31,6 +31,7 @@ from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.errors import Errors
 from calib.result.fitted_model import NonGeometric
 from calib.robot.robot import Robot
+from calib.show.measured_rows import chains_of_rows
 
 #: Places that may be taken from an earlier result.
 PLACES = ("frame", "target")
@@ -182,6 +183,21 @@ class Evaluation(Value):
         errors = {}
         for name, rows in sets.items():
             errors[name] = Errors.of(self.residual[rows], self.channels.select(rows))
+        return errors
+
+    @property
+    def errors_by_chain(self) -> dict[str, Errors]:
+        """The errors of all rows of each chain, by its links such as ``"base to left_tool"``; empty for one chain."""
+        chain = chains_of_rows(self.robot, self.setup, self.measurements)
+        if chain is None:
+            return {}
+        errors = {}
+        for number, one in enumerate(self.robot.chains):
+            rows = chain == number
+            if np.any(rows):
+                errors[f"{one.base} to {one.tip}"] = Errors.of(
+                    self.residual[rows], self.channels.select(rows)
+                )
         return errors
 
 

@@ -61,8 +61,8 @@ def inspect(
     Args:
         robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
             tip, or those that follow from the table's joint columns.
-        cell: Its model is analysed, ``"auto"`` as ``"dh"``, of several chains as ``"placement"``; or the path of a cell file; None: the default cell. Errors
-            of single corners of its boards are left out.
+        cell: Its model is analysed, ``"auto"`` as ``"dh"``, of several chains as ``"placement"``; or the path of a cell
+            file; None: the default cell. Errors of single corners of its boards are left out.
         measurements: Their estimation rows are analysed, with frames and targets registered; or the path of their
             table. None: 200 poses over the joint limits, with a target or anchor that the cell does not give at a
             generic place.
