@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,7 +74,7 @@ def load_with_data(
         CalibError: Arguments in the wrong order, a unit without a list of points, or a fault of the robot or the table.
     """
     from calib.basics.tables import Table
-    from calib.data.cell_chains import sights_of
+    from calib.data.cell_chains import check_links_named, sights_of
     from calib.data.columns import column_names
     from calib.data.measurements import Measurements
     from calib.data.whole_turns import brought_back
@@ -92,7 +93,10 @@ def load_with_data(
         )
     columns = options.parsed()
     table = Table.read(data)
-    sights = sights_of(table, columns) if cell.bases or cell.tips else None
+    with prefix_hint(cell):
+        sights = sights_of(table, columns) if cell.bases or cell.tips else None
+    if sights is not None and result is None:
+        check_links_named(cell, sights, str(data))
     arm = load(robot, cell, column_names(table, columns), sights, result)
     measurements = Measurements.read(
         table,
@@ -105,6 +109,22 @@ def load_with_data(
         needs_all_joints=not arm.branches,
     )
     return arm, brought_back(arm, measurements)
+
+
+@contextmanager
+def prefix_hint(cell: Cell) -> Iterator[None]:
+    """Add to a message about two columns of one name, of a cell of several robots, how their joints are called."""
+    from calib.errors import MeasurementError
+
+    try:
+        yield
+    except MeasurementError as error:
+        if not cell.robots or "two columns are called" not in str(error):
+            raise
+        name = next(iter(cell.robots))
+        raise MeasurementError(
+            f"{error} If the second is of the robot '{name}', its header begins with the robot's name: '{name}/JOINT'."
+        ) from error
 
 
 def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
