@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ def load(
     cell: Cell,
     measured: Collection[str] | None = None,
     sights: Iterable[Sight] | None = None,
+    result: Calibration | None = None,
 ) -> Robot:
     """Load a robot between the links of the cell's frames and targets, with the joints that the cell holds and couples.
 
@@ -31,6 +33,7 @@ def load(
         cell: Names links, held joints and coupled readings.
         measured: Names of the joints whose values are known, which decide a tip that the cell does not name; None: all.
         sights: Stations and targets that occur together; None: all that the cell names.
+        result: A result whose robot has several chains or further robots: the robot gets them; None: none.
 
     Returns:
         The robot.
@@ -38,9 +41,11 @@ def load(
     Raises:
         CalibError: As of `Robot.load`.
     """
-    from calib.data.cell_chains import robot_of_cell
+    from calib.data.cell_chains import robot_of_cell, robot_with_chains_of
     from calib.robot.urdf import read_urdf
 
+    if result is not None and (result.nominal.branches or result.nominal.parts):
+        return robot_with_chains_of(result.nominal, read_urdf(robot), cell.held)
     return robot_of_cell(read_urdf(robot), cell, measured, sights)
 
 
@@ -49,6 +54,7 @@ def load_with_data(
     cell: Cell,
     data: Path,
     table_options: TableOptions | None = None,
+    result: Calibration | None = None,
 ) -> tuple[Robot, Measurements]:
     """Load a robot and a table whose joint columns are those of its chain.
 
@@ -59,6 +65,7 @@ def load_with_data(
         cell: Names base, tip, held joints, coupled readings and the kind of the rows.
         data: The table.
         table_options: How the table is read, as typed; None: nothing was.
+        result: As of `load`.
 
     Returns:
         Robot and measurements.
@@ -67,7 +74,7 @@ def load_with_data(
         CalibError: Arguments in the wrong order, a unit without a list of points, or a fault of the robot or the table.
     """
     from calib.basics.tables import Table
-    from calib.data.cell_chains import sights_of
+    from calib.data.cell_chains import check_links_named, sights_of
     from calib.data.columns import column_names
     from calib.data.measurements import Measurements
     from calib.data.whole_turns import brought_back
@@ -86,8 +93,11 @@ def load_with_data(
         )
     columns = options.parsed()
     table = Table.read(data)
-    sights = sights_of(table, columns) if cell.bases or cell.tips else None
-    arm = load(robot, cell, column_names(table, columns), sights)
+    with prefix_hint(cell):
+        sights = sights_of(table, columns) if cell.bases or cell.tips else None
+    if sights is not None and result is None:
+        check_links_named(cell, sights, str(data))
+    arm = load(robot, cell, column_names(table, columns), sights, result)
     measurements = Measurements.read(
         table,
         arm.joint_names,
@@ -99,6 +109,22 @@ def load_with_data(
         needs_all_joints=not arm.branches,
     )
     return arm, brought_back(arm, measurements)
+
+
+@contextmanager
+def prefix_hint(cell: Cell) -> Iterator[None]:
+    """Add to a message about two columns of one name, of a cell of several robots, how their joints are called."""
+    from calib.errors import MeasurementError
+
+    try:
+        yield
+    except MeasurementError as error:
+        if not cell.robots or "two columns are called" not in str(error):
+            raise
+        name = next(iter(cell.robots))
+        raise MeasurementError(
+            f"{error} If the second is of the robot '{name}', its header begins with the robot's name: '{name}/JOINT'."
+        ) from error
 
 
 def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
@@ -114,6 +140,7 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
             couples other readings.
     """
     chain = result.nominal
+    cell = _with_links_of_result(cell, result, name)
     for option, given, required in (
         ("base", cell.base, chain.base),
         ("tip", cell.tip, chain.tip),
@@ -125,6 +152,20 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
     held = {**chain.held, **cell.held}
     coupling = coupling_of_result(cell, result, name)
     return replace(cell, base=chain.base, tip=chain.tip, held=held, coupling=coupling)
+
+
+def _with_links_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
+    """Return the cell with the links of a result's frames and targets; CalibError if it names another for one."""
+    of_result = result.setup.in_cell(cell)
+    pairs = (("base", cell.bases, of_result.bases), ("tip", cell.tips, of_result.tips))
+    for option, given, required in pairs:
+        for key, link in given.items():
+            if required.get(key) != link:
+                raise CalibError(
+                    f"{name} is the result for --{option} '{key}={required.get(key, 'another link')}', but "
+                    f"'{key}={link}' was given. Leave it out: the result contains it."
+                )
+    return of_result
 
 
 def coupling_of_result(cell: Cell, result: Calibration, name: str) -> Mapping[str, Any]:

@@ -59,7 +59,15 @@ TargetLink = Annotated[
     bool,
     typer.Option(
         "--target-link",
-        help="Add a link 'calib_target' at the target to the corrected URDF.",
+        help="Add a link 'calib_target' at the target to the corrected URDF, of several 'calib_target_NAME' at each.",
+    ),
+]
+FrameLink = Annotated[
+    bool,
+    typer.Option(
+        "--frame-link",
+        help="Add a link 'calib_frame' at the measurement frame (tracker, camera) to the corrected URDF, of several "
+        "'calib_frame_NAME' at each.",
     ),
 ]
 Columns = Annotated[

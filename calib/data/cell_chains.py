@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.columns import WORD_COLUMNS, name_columns
 from calib.data.forms.column_options import ColumnsInput, column_options
-from calib.errors import ModelError, choices
+from calib.errors import ModelError, choices, did_you_mean
 from calib.robot.joined_urdf import Part, joined_urdf
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
@@ -36,6 +36,50 @@ def sights_of(table: Table, columns: ColumnsInput = None) -> tuple[Sight, ...]:
         targets = [word or default_target for word in table.column(named["target"])]
     groups = ["/".join(row[column.index] for column in group_columns) for row in table.cells]
     return tuple(dict.fromkeys(zip(groups, targets, strict=True)))
+
+
+def check_links_named(cell: Cell, sights: Iterable[Sight], source: str) -> None:
+    """Refuse links that a cell names for stations or targets that a table lacks.
+
+    Args:
+        cell: Links of frames and targets.
+        sights: Stations and targets of the table.
+        source: The table's file.
+
+    Raises:
+        ModelError: The table lacks one.
+    """
+    groups, targets = zip(*sights, strict=True) if sights else ((), ())
+    for option, column, given, present in (
+        ("--base", "group", cell.bases, groups),
+        ("--tip", "target", cell.tips, targets),
+    ):
+        for name, link in given.items():
+            if name not in present:
+                raise ModelError(
+                    f"{source}: {option} {name}={link} names '{name}', but the column '{column}' has "
+                    f"{choices(dict.fromkeys(present))}{did_you_mean(name, present)}. Name one of them."
+                )
+
+
+def refuse_several_chains(cell: Cell, what: str) -> None:
+    """Refuse a cell of several chains where one at a time is worked on.
+
+    Args:
+        cell: Links of frames and targets, and further robots.
+        what: What is made of one chain, such as ``"calib plan chooses poses"``.
+
+    Raises:
+        ModelError: It names links by station or target, or further robots.
+    """
+    if cell.tips or cell.bases or cell.robots:
+        named = choices([*cell.bases, *cell.tips, *cell.robots])
+        raise ModelError(
+            f"{what} for one chain at a time, but links are named for {named}. Give --base LINK and --tip LINK of one "
+            "hand, then of the next: the rest of the robot stands still, and is an obstacle. The tables of several "
+            "hands go into one, with a column 'target' that names the hand, and the cells of the other hand's joints "
+            "left empty."
+        )
 
 
 def robot_of_cell(
@@ -94,4 +138,31 @@ def robot_of_cell(
     branches = [(other_base, other_tip or tip) for other_base, other_tip in others]
     return Robot.from_urdf(
         urdf, base, tip, held=cell.held, coupling=cell.coupling, branches=branches, parts=parts
+    )
+
+
+def robot_with_chains_of(source: Robot, urdf: Urdf, held: Mapping[str, float]) -> Robot:
+    """Return a robot of a URDF with the chains of another one, such as that of a result.
+
+    Args:
+        source: The other robot, whose base, tip, branches, coupled readings and further robots it gets.
+        urdf: The URDF: of the whole cell, or of its first robot, which the further ones then join where they stand
+            around ``source``.
+        held: Values of joints that stay where they are [rad or m].
+
+    Raises:
+        UrdfError: It lacks a link or a joint.
+    """
+    further = tuple(part for part in source.parts if part.name)
+    if any(part.mount not in {joint.name for joint in urdf.joints} for part in further):
+        mounts = {part.name: source.urdf.joint(part.mount).T_parent_joint for part in further}
+        urdf = joined_urdf(urdf, further, mounts)
+    return Robot.from_urdf(
+        urdf,
+        source.base,
+        source.tip,
+        held=held,
+        coupling=source.reading_coupling,
+        branches=[(branch.base, branch.tip) for branch in source.branches],
+        parts=source.parts,
     )

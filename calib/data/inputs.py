@@ -19,7 +19,7 @@ from calib.basics.arguments import check_type
 from calib.basics.arrays import Array
 from calib.basics.tables import Table
 from calib.data.cell import Cell
-from calib.data.cell_chains import Sight, robot_of_cell, sights_of
+from calib.data.cell_chains import Sight, check_links_named, robot_of_cell, sights_of
 from calib.data.columns import column_names
 from calib.data.measurements import Measurements
 from calib.data.whole_turns import brought_back
@@ -129,12 +129,17 @@ def inputs_of(
     _check_robot(robot, "robot")
     check_type("measurements", table, (Measurements, str, Path), TABLE)
     if isinstance(table, Measurements):
-        sights = dict.fromkeys(zip(table.groups, table.targets, strict=True))
+        sights = tuple(dict.fromkeys(zip(table.groups, table.targets, strict=True)))
+        if not isinstance(robot, Robot):
+            check_links_named(cell, sights, table.source or "Measurements")
         arm = robot_of(robot, cell, measured=table.joint_names, sights=sights, read=read)
         return arm, brought_back(arm, table), cell
     read_table = Table.read(table)
     names = column_names(read_table)
-    arm = robot_of(robot, cell, measured=names, sights=sights_of(read_table), read=read)
+    sights = sights_of(read_table)
+    if not isinstance(robot, Robot):
+        check_links_named(cell, sights, read_table.source)
+    arm = robot_of(robot, cell, measured=names, sights=sights, read=read)
     measurements = Measurements.read(
         read_table,
         arm.joint_names,

@@ -441,7 +441,8 @@ def _trials_of_setup(
     links = robot.urdf.links
     fixed = {joint.name for joint in robot.urdf.joints if joint.type == "fixed"}
     if not cell.estimate_frame and cell.T_frame_base is None:
-        for link in links:
+        # Of several chains the links were named one by one.
+        for link in () if robot.branches else links:
             between = itertools.chain(*robot.urdf.chain(robot.base, link))
             if link != robot.base and fixed.issuperset(between):
                 other = robot.rebuilt(base=link)
@@ -456,7 +457,7 @@ def _trials_of_setup(
 
     # Another link carries the target: one for each set of joints that the table has values of.
     tried = {frozenset(robot.joint_names)}
-    for link in links:
+    for link in () if robot.branches else links:
         between = itertools.chain(*robot.urdf.chain(robot.base, link))
         moving = frozenset(between) - fixed
         measured = moving <= set(table.joint_names)

@@ -133,24 +133,27 @@ class Calibration(Value):
         """Return the result as text, without colours."""
         return str(shown_by("verbs.calibrate.report").summary(self))
 
-    def checked_urdf(self, *, target_link: bool = False) -> Urdf:
+    def checked_urdf(self, *, target_link: bool = False, frame_link: bool = False) -> Urdf:
         """Return the URDF that `write_urdf` writes, read back with Pinocchio and yourdfpy.
 
         A verdict ``do not use`` stands in it as a comment; it is not obeyed here.
 
         Args:
-            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to its link; of several targets
+                ``calib_target_NAME`` at each.
+            frame_link: Whether it has a link ``calib_frame`` at the measurement frame; of several ``calib_frame_NAME``
+                at each that has a pose.
 
         Returns:
             The corrected URDF, the geometry alone.
 
         Raises:
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or
-                the URDF has another link ``calib_target``.
-            ModelError: ``target_link`` with several targets, which one link cannot stand for.
+                the URDF has another link of such a name.
+            ModelError: ``frame_link`` if no frame has a pose.
         """
         written = shown_by("verbs.calibrate.write_urdf")
-        urdf: Urdf = written.checked_urdf(self, target_link=target_link)
+        urdf: Urdf = written.checked_urdf(self, target_link=target_link, frame_link=frame_link)
         return urdf
 
     def write_urdf(
@@ -159,6 +162,7 @@ class Calibration(Value):
         *,
         overwrite: bool = False,
         target_link: bool = False,
+        frame_link: bool = False,
         accept: bool = False,
     ) -> Path:
         """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and yourdfpy.
@@ -166,7 +170,10 @@ class Calibration(Value):
         Args:
             path: The file.
             overwrite: Whether a file that exists is replaced.
-            target_link: Whether it has a link ``calib_target`` at the target, fixed to the tip.
+            target_link: Whether it has a link ``calib_target`` at the target, fixed to its link; of several targets
+                ``calib_target_NAME`` at each.
+            frame_link: Whether it has a link ``calib_frame`` at the measurement frame; of several ``calib_frame_NAME``
+                at each that has a pose.
             accept: Whether it is written also where the verdict is ``do not use``; the verdict then stands in it as a
                 comment before ``<robot>``.
 
@@ -177,15 +184,20 @@ class Calibration(Value):
             ArgumentError: The path is of another type.
             VerdictError: The verdict is ``do not use``, and ``accept`` is not given.
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad, or the URDF has another
-                link ``calib_target``.
-            ModelError: ``target_link`` with several targets, which one link cannot stand for.
+                link of such a name.
+            ModelError: ``frame_link`` if no frame has a pose.
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
         written = shown_by("verbs.calibrate.write_urdf")
         return Path(
             written.write_urdf(
-                self, path, overwrite=overwrite, target_link=target_link, accept=accept
+                self,
+                path,
+                overwrite=overwrite,
+                target_link=target_link,
+                frame_link=frame_link,
+                accept=accept,
             )
         )
 
@@ -416,6 +428,28 @@ class Calibration(Value):
         target_index = _repeated_index("target", target, self.setup.targets, len(values))
         chain = self.setup.chains(self.nominal, frame, target_index)
         return replace(samples, frame=frame, target=target_index, chain=chain)
+
+    def transform(self, from_name: str, to_name: str) -> Any:  # noqa: ANN401  made in a module above
+        """Return the constant pose of one thing in another on the same rigid body, with its covariance.
+
+        It is that of the geometry: of two cameras on a wall, two boards on a hand, a tracker and a base, two robots.
+
+        Args:
+            from_name: Name of a station, which stands for its measurement frame (``"frame"`` if the table has none), a
+                target, a further robot (its root link), or a link; ``"station:left"``, ``"target:left"``,
+                ``"robot:left"``, ``"link:left"`` if several things are called left.
+            to_name: Name of the one whose pose is wanted.
+
+        Returns:
+            A `calib.result.transforms.Transform`: ``pose``, T_from_to (4, 4) [m], and ``covariance`` (6, 6) of the
+            displacement [m] and rotation [rad] of ``to`` along and about the axes of ``from``.
+
+        Raises:
+            ModelError: There is nothing of that name, two things have it, no row determines its pose, or joints move
+                between them.
+        """
+        transforms = shown_by("result.transforms")
+        return transforms.transform(self, from_name, to_name)
 
     def predict_poses(
         self,

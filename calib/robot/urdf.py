@@ -33,6 +33,9 @@ from calib.robot.xacro_file import XacroCall, flatten, is_xacro
 #: Name of the link that carries the target in a corrected URDF, when asked for.
 TARGET_LINK = "calib_target"
 
+#: Name of the link that is added at the measurement frame; of several, ``_NAME`` is added.
+FRAME_LINK = "calib_frame"
+
 #: Entries of two poses that differ by no more are the same [m; rotation matrices: 1].
 SAME = 1e-14
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.basics.arrays import Array, rigid_inverse
+from calib.basics.arrays import Array, Integers, rigid_inverse
 from calib.data.measurements import Measurements
 from calib.fit.registration.setup import Setup
+from calib.robot.robot import Robot
 
 
 def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:
@@ -22,6 +23,19 @@ def setup_of_rows(setup: Setup, m: Measurements) -> tuple[Array, Array]:
     frames = [setup.groups.index(group) for group in m.groups]
     targets = [setup.targets.index(target) for target in m.targets]
     return setup.T_frame_base[frames], setup.T_tip_target[targets]
+
+
+def chains_of_rows(robot: Robot, setup: Setup, m: Measurements) -> Integers | None:
+    """Return the chain that each row was measured through, shape (N,), by its index in `Robot.chains`; None: one chain.
+
+    Args:
+        robot: The robot.
+        setup: Frames of the stations and targets, with their links.
+        m: N rows; each names its station (``groups``) and its target.
+    """
+    frames = np.array([setup.groups.index(group) for group in m.groups], dtype=np.int_)
+    targets = np.array([setup.targets.index(target) for target in m.targets], dtype=np.int_)
+    return setup.chains(robot, frames, targets)
 
 
 def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:

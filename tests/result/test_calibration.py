@@ -185,11 +185,23 @@ def test_the_robot_of_a_bad_result_says_so_whoever_writes_it(calibrated, tmp_pat
     assert bad.uncorrected(bad.robot).urdf.verdict == ""
 
 
-def test_a_target_link_is_for_one_target(calibrated, tmp_path):
+def test_links_stand_at_targets_and_frames(calibrated, tmp_path):
     _, c = calibrated("targets")
-    with pytest.raises(ModelError, match="There are 2 targets, 't0', 't1'; a target link can be"):
-        c.write_urdf(tmp_path / "c.urdf", target_link=True)
-    assert list(tmp_path.iterdir()) == []
+    several = c.write_urdf(tmp_path / "t.urdf", target_link=True)
+    q = random_joint_values(c.nominal, 5, 2)
+    for t, name in enumerate(c.setup.targets):
+        robot = Robot.load(several, "base", f"calib_target_{name}")
+        expected = c.robot.poses(q) @ c.setup.T_tip_target[t]
+        np.testing.assert_allclose(robot.poses(q), expected, atol=1e-9)
+    _, turned = calibrated("set-ups")
+    path = turned.write_urdf(tmp_path / "f.urdf", frame_link=True)
+    for f, name in enumerate(turned.setup.groups):
+        robot = Robot.load(path, f"calib_frame_{name}", turned.robot.tip)
+        expected = turned.setup.T_frame_base[f] @ turned.robot.poses(q)
+        np.testing.assert_allclose(robot.poses(q), expected, atol=1e-9)
+    _, c = calibrated("sockets")
+    with pytest.raises(ModelError, match="No row determines the pose of a measurement frame"):
+        c.write_urdf(tmp_path / "s.urdf", frame_link=True)
     _, turned = calibrated("poses")
     path = turned.write_urdf(tmp_path / "c.urdf", target_link=True)
     robot = Robot.load(path, "base", "calib_target")

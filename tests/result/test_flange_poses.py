@@ -110,13 +110,13 @@ def test_mount_board_and_lens_are_those_of_the_truth():
 def test_the_urdf_has_camera_and_board_as_links(tmp_path):
     result = calibrated(table(views(12)))
     urdf = Urdf.read(result.write_urdf(tmp_path / "with_camera.urdf"))
-    camera, board = urdf.joint("calib_camera_joint"), urdf.joint("calib_board_joint")
+    camera, board = urdf.joint("calib_frame_joint"), urdf.joint("calib_target_joint")
     assert (camera.parent, board.parent) == ("flange", "base")
     np.testing.assert_allclose(camera.T_parent_joint, T_FLANGE_CAMERA, atol=1e-6)
     np.testing.assert_allclose(board.T_parent_joint, T_BASE_BOARD, atol=1e-6)
     # Another run moves the links that the first one added.
     again = replace(result, robot=replace(result.robot, urdf=urdf))
-    assert again.checked_urdf().joint("calib_camera_joint").parent == "flange"
+    assert again.checked_urdf().joint("calib_frame_joint").parent == "flange"
 
 
 @pytest.mark.slow

@@ -96,6 +96,14 @@ class Setup(Value):
             result[(frame == f) & (target == t)] = numbers[bases[f], tips[t]]
         return result
 
+    def in_cell(self, cell: Cell) -> Cell:
+        """Return a cell with the links that frames and targets are mounted on here, if they are on different ones."""
+        return replace(
+            cell,
+            bases=dict(zip(self.groups, self.frame_links, strict=False)),
+            tips=dict(zip(self.targets, self.target_links, strict=False)),
+        )
+
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
         """Estimated directions of each frame by its station's name; "" is the name of the only one."""

@@ -17,7 +17,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.basics.arrays import Array, rigid_inverse
+from calib.basics.arrays import Array, Integers, rigid_inverse
 from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.meshes import LinkShape, find_mesh, link_shapes, mesh_folders, read_mesh
 from calib.robot.robot import Robot
@@ -146,6 +146,8 @@ class PosedRobot(NamedTuple):
         visuals: Sequence[Visual],
         T_scene_base: Array,
         target: Array,
+        chain: Integers | None = None,
+        marks: Sequence[Visual] = (),
     ) -> PosedRobot:
         """Place a robot in the scene.
 
@@ -155,8 +157,10 @@ class PosedRobot(NamedTuple):
             robot: The robot.
             q: shape (N, m), joint values [rad or m].
             visuals: Its shapes, see `read_visuals`.
-            T_scene_base: shape (N, 4, 4), its base in the scene [m].
+            T_scene_base: shape (N, 4, 4), the base of each pose's chain in the scene [m].
             target: shape (N, 4, 4) or (4, 4), T_tip_target [m].
+            chain: shape (N,), each pose's chain, by its index in `Robot.chains`; None: the first.
+            marks: Shapes with triangles that are drawn besides those of the robot, at its links.
         """
         drawn = {visual.link for visual in visuals if visual.mesh is not None}
         sticks = set(robot.urdf.links)
@@ -164,11 +168,12 @@ class PosedRobot(NamedTuple):
             sticks = {visual.link for visual in visuals if visual.mesh is None}
         joints = [joint for joint in robot.urdf.joints if joint.parent in sticks]
         needed = drawn | sticks | {joint.child for joint in joints}
+        needed |= {mark.link for mark in marks}
         links = tuple(link for link in robot.urdf.links if link in needed)
         rods = [(links.index(joint.parent), links.index(joint.child)) for joint in joints]
         parts = [
             (links.index(visual.link), visual.mesh, visual.T_link_shape)
-            for visual in visuals
+            for visual in (*visuals, *marks)
             if visual.mesh is not None
         ]
 
@@ -176,10 +181,14 @@ class PosedRobot(NamedTuple):
         first_origins = [T[0, :3, 3] for T in T_root_link.values()]
         radius = _ROD_RADIUS * float(np.linalg.norm(np.ptp(first_origins, axis=0)))
 
-        T_scene_root = T_scene_base @ rigid_inverse(T_root_link[robot.base])
+        T_root_base = T_root_link[robot.base]
+        if chain is not None:
+            bases = np.stack([T_root_link[one.base] for one in robot.chains])
+            T_root_base = bases[chain, np.arange(len(q))]
+        T_scene_root = T_scene_base @ rigid_inverse(T_root_base)
         moved = [T_scene_root @ T_root_link[link] for link in links]
         # The robot's own forward kinematics place tip and target: the tables are about those points.
-        T_scene_tip = T_scene_base @ robot.poses(q)
+        T_scene_tip = T_scene_base @ robot.poses(q, chain)
         T_scene_target = T_scene_tip @ target
         poses = np.stack([*moved, T_scene_base, T_scene_tip, T_scene_target], axis=1)
         return cls(links, parts, rods, radius, poses)
@@ -212,6 +221,30 @@ def _box_corners(vertices: NDArray[np.floating]) -> Array:
     high = vertices.max(axis=0)
     corners: Array = 0.5 * (low + high) + _CUBE * (high - low)
     return np.hstack([corners, np.ones((8, 1))])
+
+
+def stands(robot: Robot) -> bool:
+    """Return whether all chains of a robot begin at one link, in which its poses are then drawn."""
+    return len({chain.base for chain in robot.chains}) == 1
+
+
+def chain_bases(robot: Robot, q: Array, chain: Integers | None) -> Array:
+    """Return the base of each pose's chain in the scene: the one base of all chains, else the URDF's root.
+
+    Args:
+        robot: The robot.
+        q: shape (N, m), joint readings [rad or m].
+        chain: shape (N,), index of each pose's chain in `Robot.chains`; None: the first.
+
+    Returns:
+        T_scene_base, shape (N, 4, 4) [m]; identities for a robot whose chains begin at one link.
+    """
+    if stands(robot):
+        return np.broadcast_to(np.eye(4), (len(q), 4, 4))
+    T_root_link = root_poses(robot, q)
+    bases = np.stack([T_root_link[one.base] for one in robot.chains])
+    chosen = np.zeros(len(q), dtype=np.int_) if chain is None else chain
+    return np.asarray(bases[chosen, np.arange(len(q))])
 
 
 def root_poses(robot: Robot, q: Array) -> dict[str, Array]:

@@ -18,6 +18,7 @@ from calib.cli.options import (
     DataFile,
     FitOptions,
     Force,
+    FrameLink,
     Quiet,
     RobotFile,
     SolverOptions,
@@ -70,6 +71,7 @@ class Outputs:
         typer.Option("--figure-format", help="File format of --figures. Default: png."),
     ] = None
     target_link: TargetLink = False
+    frame_link: FrameLink = False
     accept: Accept = False
     force: Force = False
 
@@ -131,6 +133,7 @@ class Outputs:
                 self.output,
                 overwrite=self.force,
                 target_link=self.target_link,
+                frame_link=self.frame_link,
                 accept=self.accept,
             )
         if self.json is not None:

@@ -108,7 +108,7 @@ def along_joints(c: Calibration) -> Array:
 
     def lengths(values: Array) -> Array:
         """Residual lengths, shape (N, D), at joint values (N, m); 0 of the other scalars."""
-        T_base_tip = c.robot.poses(c.robot.readings(values))
+        T_base_tip = c.robot.poses(c.robot.readings(values), rows.samples.chain)
         residual = rows.residual(T_frame_base @ T_base_tip @ T_tip_target)
         return np.where(are_lengths, residual, 0.0)
 

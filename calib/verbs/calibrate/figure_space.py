@@ -10,7 +10,7 @@ from calib.basics.arrays import Array
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_poses
 from calib.show.look import INK, SOFT, row_kinds
-from calib.show.measured_rows import measured_in_base, setup_of_rows
+from calib.show.measured_rows import chains_of_rows, measured_in_base, setup_of_rows
 from calib.show.plotting import (
     MOST_SHAPES,
     VIEWS,
@@ -51,7 +51,8 @@ def measured_places(c: Calibration) -> Array:
     m = c.fit.measurements
     T_frame_base, T_tip_target = setup_of_rows(c.setup, m)
     places = measured_in_base(m, T_frame_base)
-    T_base_target = c.robot.poses(m.joints_for(c.nominal.joint_names)) @ T_tip_target
+    chain = chains_of_rows(c.robot, c.setup, m)
+    T_base_target = c.robot.poses(m.joints_for(c.nominal.joint_names), chain) @ T_tip_target
     return np.where(np.isfinite(places), places, T_base_target[:, :3, 3])
 
 

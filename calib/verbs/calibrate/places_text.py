@@ -96,7 +96,7 @@ def frame_sentences(c: Calibration) -> list[str]:
         is_fitted = placed_name("frame", directions[0], group) in c.model.names
         if not is_fitted:
             label += ", registered to its validation rows"
-        text = f"{label}: {_frame_place(_base_of(c, f), c.setup.T_frame_base[f], kinds)}"
+        text = f"{label}: {_frame_place(base_of(c, f), c.setup.T_frame_base[f], kinds)}"
         if is_fitted and not _is_point(kinds) and not _is_plane(kinds):
             lengths = [direction for direction in directions if direction in "xyz"]
             angles = [direction for direction in directions if direction not in "xyz"]
@@ -105,31 +105,15 @@ def frame_sentences(c: Calibration) -> list[str]:
                 halves.append(f"({_half_widths(c, 'frame', lengths, group)}) mm")
             if angles:
                 halves.append(f"({_half_widths(c, 'frame', angles, group)}) deg")
-            axes = "the frame" if c.setup.own_axes[f] else _base_of(c, f)
+            axes = "the frame" if c.setup.own_axes[f] else base_of(c, f)
             text += f"; 95 % ± {' and '.join(halves)} for {', '.join(directions)} along and about the axes of {axes}"
         sentences.append(f"{text}.")
     return sentences
 
 
-def _base_of(c: Calibration, f: int) -> str:
+def base_of(c: Calibration, f: int) -> str:
     """Return the link that frame f is mounted on."""
     return c.setup.frame_links[f] if c.setup.frame_links else c.nominal.base
-
-
-def mount_sentences(c: Calibration) -> list[str]:
-    """Word where the base of each further robot stands in the first one's root, with its 95 % interval; mm and deg."""
-    sentences = []
-    for part in c.nominal.parts:
-        if part.mount not in c.nominal.mounts:
-            continue
-        T = c.robot.urdf.joint(part.mount).T_parent_joint
-        lengths = _half_widths(c, "mount", "xyz", part.name)
-        angles = _half_widths(c, "mount", ("rx", "ry", "rz"), part.name)
-        sentences.append(
-            f"Robot '{part.name}': {part.urdf.root} estimated at {_position(T[:3, 3])}{_rpy(T)} in "
-            f"{c.nominal.urdf.root}; 95 % ± ({lengths}) mm and ({angles}) deg about its axes."
-        )
-    return sentences
 
 
 def chain_sentences(c: Calibration) -> list[str]:

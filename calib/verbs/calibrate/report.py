@@ -58,10 +58,10 @@ from calib.show.words import (
 )
 from calib.verbs.calibrate.figures import drawings
 from calib.verbs.calibrate.places_text import (
+    base_of,
     camera_and_board_sentences,
     chain_sentences,
     frame_sentences,
-    mount_sentences,
     target_sentences,
 )
 from calib.verbs.calibrate.seen_corners import image_rows
@@ -300,7 +300,7 @@ def _rows_and_places(c: Calibration) -> Iterator[Block]:
         yield Paragraph(f"Outliers among the validation rows: {suspects}", tight=True)
     yield Bullets(target_sentences(c), most=_MOST_PLACES)
     yield Bullets(frame_sentences(c), most=_MOST_PLACES)
-    yield Bullets(mount_sentences(c))
+    yield tables.transforms(c)
     yield Bullets(camera_and_board_sentences(c))
 
 
@@ -354,6 +354,7 @@ def _parameters(c: Calibration) -> Iterator[Block]:
     yield tables.parameters_in(c, "deg")
     places = [*target_sentences(c), *frame_sentences(c), *camera_and_board_sentences(c)]
     yield Bullets(places, on=HTML)
+    yield replace(tables.transforms(c), on=HTML)
     yield tables.non_geometric(c)
 
 
@@ -408,7 +409,7 @@ def _measurements(c: Calibration) -> Iterator[Block]:
         [
             ("Rows", f"{len(m):,}: {_rows_text(m)} (column 'set'){unused}"),
             ("Each row measures", kinds_text(m)),
-            ("Measurement frame", f"{c.nominal.base} at ({at}) mm, rpy ({rpy}) deg in it"),
+            ("Measurement frame", f"{base_of(c, 0)} at ({at}) mm, rpy ({rpy}) deg in it"),
             ("Joints held [rad or m]", ", ".join(held)),
             ("Coupled readings", coupling_sentence(c.nominal).partition(": ")[2]),
             ("Noise of the rows", facts["Noise"]),

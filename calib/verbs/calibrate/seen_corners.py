@@ -146,7 +146,7 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
         return ()
     m, cell = c.fit.measurements, c.fit.cell
     rows, _ = rows_and_setup(c.nominal, m, cell)
-    T_base_tip = c.robot.poses(m.joints_for(c.nominal.joint_names))
+    T_base_tip = c.robot.poses(m.joints_for(c.nominal.joint_names), rows.samples.chain)
     sightings = c.setup.sightings(T_base_tip, rows.samples)
     assert sightings.internals is not None
     internals = sightings.internals.values

@@ -14,9 +14,10 @@ from calib.basics.arrays import rigid_inverse
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.model.dh_table import dh_table
 from calib.model.families import unit_of
-from calib.numerics.errors import Errors
+from calib.numerics.errors import Errors, interval_factor
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
+from calib.result.transforms import known_transforms, plain_name
 from calib.show.blocks import HTML, TERMINAL
 from calib.show.error_tables import (
     ERROR_COLUMNS,
@@ -48,6 +49,9 @@ _LEAST_DISPLACEMENT = 1e-9
 
 #: Indices of the angles alpha, theta and beta among the five DH parameters of a row.
 _DH_ANGLES = [1, 3, 4]
+
+#: Transforms that are listed; the others are counted.
+_MOST_TRANSFORMS = {TERMINAL: 12, HTML: MOST_LISTED}
 
 #: Columns of the five DH parameters.
 _DH_COLUMNS = (
@@ -535,6 +539,50 @@ def chains(c: Calibration) -> Table:
         columns,
         rows,
         indent="  ",
+    )
+
+
+# Transforms
+
+
+def transforms(c: Calibration) -> Table:
+    """Tabulate the transforms between frames, boards, links and robots that are on one body, with 95 % intervals.
+
+    Half an interval is that along the direction, or about the axis, for which it is widest. Transforms of which nothing
+    was estimated are left out; of one robot seen from one frame there are no rows.
+    """
+    factor = interval_factor(c.noise.freedom)
+    rows: list[Row] = []
+    for one in known_transforms(c):
+        if not one.covariance.any():
+            continue
+        angles = pin.rpy.matrixToRpy(one.pose[:3, :3])
+        rows.append(
+            (
+                f"{plain_name(one.from_name)} to {plain_name(one.to_name)}",
+                *one.pose[:3, 3].tolist(),
+                factor * one.position_std,
+                *angles.tolist(),
+                factor * one.orientation_std,
+            )
+        )
+    lengths = [Column(f"{axis} [mm]", 10, unit="mm") for axis in "xyz"]
+    turns = [
+        Column(f"{axis} [deg]" if axis == "roll" else axis, 8, unit="deg", digits=3)
+        for axis in ("roll", "pitch", "yaw")
+    ]
+    return Table(
+        "Transforms: pose of the second in the first, and half its 95 % interval where that is widest",
+        (
+            name_column("", 26),
+            *lengths,
+            Column("± mm", 7, unit="mm"),
+            *turns,
+            Column("± deg", 7, unit="deg", digits=4),
+        ),
+        rows,
+        most=_MOST_TRANSFORMS,
+        elsewhere="Calibration.transform",
     )
 
 

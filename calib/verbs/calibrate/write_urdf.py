@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-import calib.data.kinds as registry
 from calib.basics.arrays import Array, rigid_inverse
-from calib.errors import ModelError, UrdfError, VerdictError, choices
+from calib.errors import ModelError, UrdfError, VerdictError
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
+from calib.result.transforms import has_pose
+from calib.robot.joined_urdf import SEPARATOR
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
-from calib.robot.urdf import TARGET_LINK, Urdf
+from calib.robot.urdf import FRAME_LINK, TARGET_LINK, Urdf
 from calib.show.verdict_text import do_not_use_text, refusal
+
+
+class AddedLink(NamedTuple):
+    """A link that is added to a URDF, fixed to another."""
+
+    #: Its name
+    name: str
+    #: The link that it is fixed to
+    parent: str
+    #: Its pose there, (4, 4) [m]
+    T_parent_link: Array
 
 
 def write_urdf(
@@ -25,6 +37,7 @@ def write_urdf(
     *,
     overwrite: bool = False,
     target_link: bool = False,
+    frame_link: bool = False,
     accept: bool = False,
 ) -> Path:
     """Write the corrected URDF; a verdict against it that is not accepted raises `VerdictError`.
@@ -34,9 +47,15 @@ def write_urdf(
     verdict_against = do_not_use_text(c.verdict)
     if verdict_against and not accept:
         raise VerdictError(refusal(f"'{path}'", verdict_against))
-    urdf = checked_urdf(c, target_link=target_link)
+    urdf = checked_urdf(c, target_link=target_link, frame_link=frame_link)
     if c.robot.parts:
+        links = added_links(c, target_link=target_link, frame_link=frame_link)
+        names = [part.name for part in c.robot.parts if part.name]
         for name, own in c.robot.own_urdfs().items():
+            for link in links:
+                robot, _, parent = link.parent.rpartition(SEPARATOR)
+                if (robot if robot in names else "") == name:
+                    own = _with_link(own, link._replace(parent=parent))
             described = own.with_comments(run=c.run, verdict=verdict_against)
             described.write(path_of_robot(path, name), overwrite=overwrite)
     return urdf.write(path, overwrite=overwrite)
@@ -53,23 +72,14 @@ def path_of_robot(path: str | Path, name: str) -> Path:
     return of_cell.with_name(f"{of_cell.stem}_{name or 'first'}{of_cell.suffix}")
 
 
-def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
-    """Return the corrected URDF, with a link at the target if wanted, after reading it back as a check.
+def checked_urdf(c: Calibration, *, target_link: bool = False, frame_link: bool = False) -> Urdf:
+    """Return the corrected URDF, with links at targets and frames if wanted, after reading it back as a check.
 
-    A link for one of several targets raises `ModelError`; see `Calibration.checked_urdf`.
+    See `Calibration.checked_urdf`.
     """
     urdf = c.robot.urdf
-    if c.is_setup_only:
-        for name, parent, T_parent_link in _located_links(c):
-            urdf = _with_fixed_link(urdf, name, parent, T_parent_link)
-    if target_link:
-        names = c.setup.targets
-        if len(names) > 1:
-            raise ModelError(
-                f"There are {len(names)} targets, {choices(names)}; a target link can be written for one."
-            )
-        tip = c.setup.target_links[0] if c.setup.target_links else c.robot.tip
-        urdf = _with_fixed_link(urdf, TARGET_LINK, tip, c.setup.T_tip_target[0])
+    for link in added_links(c, target_link=target_link, frame_link=frame_link):
+        urdf = _with_link(urdf, link)
     robot = c.robot.with_urdf(urdf)
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
@@ -79,45 +89,51 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
     return urdf
 
 
-def _with_fixed_link(urdf: Urdf, name: str, parent: str, T_parent_link: Array) -> Urdf:
-    """Return the URDF with a link fixed to another; one that an earlier calibration added is moved.
+def added_links(
+    c: Calibration, *, target_link: bool = False, frame_link: bool = False
+) -> list[AddedLink]:
+    """Return the links at the targets and at the measurement frames of a result; all if it corrects no robot.
 
-    UrdfError if it has another link of this name.
-    """
-    if name not in urdf.links:
-        return urdf.with_link(name, parent, T_parent_link)
-    joint = next(joint for joint in urdf.joints if joint.child == name)
-    if joint.parent != parent or joint.type != "fixed":
-        raise UrdfError(
-            f"The URDF has a link '{name}' already, not fixed to '{parent}' but a child of '{joint.parent}' by a "
-            f"{joint.type} joint. Rename it, or do without the target link."
-        )
-    return urdf.with_origins({joint.name: T_parent_link})
+    Args:
+        c: The result.
+        target_link: Whether there is one at each target, ``calib_target``, or ``calib_target_NAME`` of several.
+        frame_link: Whether there is one at each frame that has a pose, ``calib_frame`` or ``calib_frame_NAME``.
 
-
-def _located_links(c: Calibration) -> Iterator[tuple[str, str, Array]]:
-    """Yield name, parent and pose in the parent, (4, 4) [m], of the frames and targets that a result has estimated.
-
-    Frames of sockets, anchors and planes are none of an instrument, and are left out.
+    Raises:
+        ModelError: No frame has a pose.
     """
     setup = c.setup
-    of_image = {registry.get(kind).is_image for kind in c.rows.kinds}
-    for f, group in enumerate(setup.groups):
-        pairs = zip(c.rows.kinds, c.rows.groups, strict=True)
-        kinds = [kind for kind, of_row in pairs if of_row == group]
-        is_image = any(registry.get(kind).is_image for kind in kinds)
-        if not setup.unknown[f] or not (is_image or registry.get(kinds[0]).tells_place):
-            continue
-        name = "calib_camera" if is_image else "calib_frame"
-        several = len(setup.groups) > 1
-        yield (
-            f"{name}_{group}" if several else name,
-            setup.frame_links[f] if setup.frame_links else c.robot.base,
-            rigid_inverse(setup.T_frame_base[f]),
+    if c.is_setup_only:  # what was located is all that it says
+        target_link = True
+        frame_link |= any(has_pose(c, f) for f in range(len(setup.groups)))
+    links = []
+    if target_link:
+        tips = setup.target_links or (c.robot.tip,) * len(setup.targets)
+        for name, tip, T in zip(setup.targets, tips, setup.T_tip_target, strict=True):
+            link = TARGET_LINK if len(tips) == 1 else f"{TARGET_LINK}_{name}"
+            links.append(AddedLink(link, tip, T))
+    if frame_link:
+        bases = setup.frame_links or (c.robot.base,) * len(setup.groups)
+        posed = [f for f in range(len(bases)) if has_pose(c, f)]
+        if not posed:
+            raise ModelError(
+                "No row determines the pose of a measurement frame: sockets, anchors and planes have none, and pairs "
+                "tell no place. Do without the links of the frames."
+            )
+        for f in posed:
+            link = FRAME_LINK if len(bases) == 1 else f"{FRAME_LINK}_{setup.groups[f]}"
+            links.append(AddedLink(link, bases[f], rigid_inverse(setup.T_frame_base[f])))
+    return links
+
+
+def _with_link(urdf: Urdf, link: AddedLink) -> Urdf:
+    """Return a URDF with a link; one of an earlier calibration is moved, any other of its name raises `UrdfError`."""
+    if link.name not in urdf.links:
+        return urdf.with_link(link.name, link.parent, link.T_parent_link)
+    joint = next(joint for joint in urdf.joints if joint.child == link.name)
+    if joint.parent != link.parent or joint.type != "fixed":
+        raise UrdfError(
+            f"The URDF has a link '{link.name}' already, not fixed to '{link.parent}' but a child of "
+            f"'{joint.parent}' by a {joint.type} joint. Rename it, or do without this link."
         )
-    for t, target in enumerate(setup.targets):
-        if setup.target_unknown[t]:
-            name = "calib_board" if of_image == {True} else TARGET_LINK
-            several = len(setup.targets) > 1
-            link = setup.target_links[t] if setup.target_links else c.robot.tip
-            yield f"{name}_{target}" if several else name, link, setup.T_tip_target[t]
+    return urdf.with_origins({joint.name: link.T_parent_link})

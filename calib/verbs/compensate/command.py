@@ -81,7 +81,8 @@ class ChainOptions(CellOptions):
     helps: ClassVar[Mapping[str, str]] = {
         "cell": "Cell file (TOML), for --corrected: its base, tip, held joints and coupled readings.",
         "base": "Link in whose frame the chain starts. Default: that of the result.",
-        "tip": "Link that the tool is mounted on. Default: that of the result.",
+        "tip": "Link that the tool is mounted on; of a result of several chains also the name of the target on it. "
+        "Default: that of the result.",
     }
 
 
@@ -236,6 +237,7 @@ def compensate(
     from calib.robot.gravity import Payload
     from calib.show.verdict_text import do_not_use_text, refusal
     from calib.verbs.compensate.compensate import compensate as compute_commands
+    from calib.verbs.compensate.nominal_actual import chain_of_hand
     from calib.verbs.compensate.program_table import read_program, write_commands
     from calib.verbs.compensate.text import no_commands, text
 
@@ -250,7 +252,13 @@ def compensate(
     remedy = ""
     if model_options.calibration is not None:
         actual = result = read_result(model_options.calibration)
-        nominal = load(robot, _with_chain_of(result, cell, str(source)))
+        with_chain = _with_chain_of(result, cell, str(source))
+        if result.nominal.branches:
+            target = tool.partition(":")[2] if tool and tool.startswith("target") else None
+            hand = chain_of_hand(result, cell.tip, target)
+            nominal = load(robot, with_chain, result=result).rebuilt(None, *hand)
+        else:
+            nominal = load(robot, with_chain)
         if result.non_geometric:
             calibrated_payload = result.non_geometric.payload
         stated = do_not_use_text(result.verdict_on(non_geometric=not model_options.geometry))

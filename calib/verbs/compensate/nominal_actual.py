@@ -260,6 +260,13 @@ def pair_of(
         return Pair(*arms, _pose(frame, "frame"))
 
     result = calibration
+    if result.nominal.branches:
+        if isinstance(non_geometric, Payload) or (non_geometric and result.non_geometric):
+            raise ModelError(
+                "This result is of several chains, and its non-geometric model is for all of them together. Commands "
+                "are for one chain by the geometry: --geometry, or non_geometric=False."
+            )
+        return _pair_of_chain(result, nominal, tool, frame)
     nominal = nominal or result.nominal
     model = result.non_geometric if non_geometric is not False else None
     if is_corrected(result, nominal) and model is None:
@@ -308,6 +315,84 @@ def pair_of(
         group=group,
         result=result,
         non_geometric=model is not None,
+    )
+
+
+def chain_of_hand(result: Calibration, hand: str | None, target: str | None) -> tuple[str, str]:
+    """Return base and tip of the chain of a result of several that a tip, a target's name or a tool's target names.
+
+    Args:
+        result: A result of several chains.
+        hand: Link at the end of the chain, or the name of a target on it; None: that of the tool.
+        target: Name of the target that is the tool; None: it is none.
+
+    Raises:
+        ModelError: No chain, or several, are named.
+    """
+    links = dict(zip(result.setup.targets, result.setup.target_links, strict=True))
+    link = links.get(hand or "", hand) or links.get(target or "")
+    found = [chain for chain in result.nominal.chains if chain.tip == link]
+    if not found:
+        tips = dict.fromkeys(chain.tip for chain in result.nominal.chains)
+        named = "it names none" if link is None else f"none ends at '{link}'"
+        raise ModelError(
+            f"The result has several chains, to {choices(tips)}; {named}. Name one by --tip LINK, or by --tip TARGET "
+            f"with one of the targets {choices(links)}."
+        )
+    # Seen from several links, a tip has several chains; the commands are the same in the frame of the first.
+    return found[0].base, found[0].tip
+
+
+def _pair_of_chain(
+    result: Calibration,
+    nominal: Robot | None,
+    tool: ArrayLike | str | None,
+    frame: ArrayLike | str | None,
+) -> Pair:
+    """Return the pair of one chain of a result of several, by its geometry; see `pair_of`.
+
+    The chain is that of the nominal robot; if none is given, that of the tool's target.
+    """
+    setup = result.setup
+    target = _find_name(setup.targets, tool, "target") if isinstance(tool, str) else None
+    if nominal is None:
+        nominal = result.nominal.rebuilt(None, *chain_of_hand(result, None, target))
+    whole = result.nominal.rebuilt(nominal.urdf)
+    if is_corrected(result, whole):
+        raise ModelError(
+            f"{nominal.urdf.source} has the corrected joint origins of this result: for a controller with this model "
+            "there is nothing to correct. Give the URDF from which the calibration started."
+        )
+    if target is None:
+        T_tip_tool = T_tip_tool_nominal = _pose(tool, "tool")
+    else:
+        t = setup.targets.index(target)
+        if setup.target_links[t] != nominal.tip:
+            raise ModelError(
+                f"The target '{target}' is on '{setup.target_links[t]}', but the chain ends at '{nominal.tip}'. Name "
+                f"the chain of the target: --tip {target}."
+            )
+        stated = result.nominal_setup if setup.target_given[t] else setup
+        T_tip_tool, T_tip_tool_nominal = setup.T_tip_target[t], stated.T_tip_target[t]
+    T_frame_base, group = _pose(None, "frame"), None
+    if isinstance(frame, str):
+        group = _find_name(setup.groups, frame, "station")
+        f = setup.groups.index(group)
+        if setup.frame_links[f] != nominal.base:
+            raise ModelError(
+                f"The frame of '{group}' is on '{setup.frame_links[f]}', but the chain starts at '{nominal.base}'. "
+                "Give the poses in the base."
+            )
+        T_frame_base = read_only(setup.T_frame_base[f])
+    elif frame is not None:
+        T_frame_base = _pose(frame, "frame")
+    corrected = result.corrected(whole).rebuilt(None, nominal.base, nominal.tip)
+    return Pair(
+        nominal=Arm.of(nominal, T_tip_tool_nominal),
+        actual=Arm.of(corrected, T_tip_tool),
+        T_frame_base=T_frame_base,
+        target=target,
+        group=group,
     )
 
 

@@ -1,7 +1,7 @@
 """Frames that a calibration estimated, fixed to links of the robot: a camera's optical frame, and a board's.
 
-A camera is a measurement frame, carried by the chain's first link (base); a board is a target, carried by its last link
-(tip):
+A camera is a measurement frame, carried by its link, the chain's first (base); a board is a target, carried by its
+link, the chain's last (tip):
 
     T_link_optical = T_frame_base^-1        T_link_board = T_tip_target
 """
@@ -51,7 +51,8 @@ def estimated_camera(calibration: Calibration, name: str | None = None) -> Estim
             f"{choices(dict.fromkeys(calibration.rows.kinds))}. Calibrate with pictures of a board, kind 'pixel'."
         )
     T_link_optical = rigid_inverse(setup.T_frame_base[index])
-    return EstimatedFrame(setup.groups[index], calibration.robot.base, read_only(T_link_optical))
+    link = setup.frame_links[index] if setup.frame_links else calibration.robot.base
+    return EstimatedFrame(setup.groups[index], link, read_only(T_link_optical))
 
 
 def estimated_board(calibration: Calibration, name: str | None = None) -> EstimatedFrame:
@@ -72,7 +73,8 @@ def estimated_board(calibration: Calibration, name: str | None = None) -> Estima
             "has no frame. Leave out the board's link."
         )
     T_link_board = setup.T_tip_target[index]
-    return EstimatedFrame(setup.targets[index], calibration.robot.tip, read_only(T_link_board))
+    link = setup.target_links[index] if setup.target_links else calibration.robot.tip
+    return EstimatedFrame(setup.targets[index], link, read_only(T_link_board))
 
 
 def index_of(what: str, option: str, name: str | None, names: tuple[str, ...]) -> int:
@@ -121,7 +123,18 @@ def check_names(options: CameraOptions) -> None:
         raise CalibError(
             f"--board {options.board}: name the link that is added there, --new-board-frame NAME."
         )
+    if (options.parent is None) != (options.child is None):
+        raise CalibError(
+            "A transform is from a parent to a child: give both --parent NAME and --child NAME, names of cameras or "
+            "other stations, boards or other targets, further robots, or links."
+        )
     frames = (options.camera_frame, options.new_camera_frame, options.new_board_frame)
+    if options.parent is not None:
+        if any((*frames, options.move, options.camera, options.board)):
+            raise CalibError(
+                "--parent and --child name a transform by themselves; leave out the names of camera, board and joint."
+            )
+        return
     if not any(frames):
         raise CalibError(
             "Name the link of the camera's optical frame: --camera-frame LINK with --move JOINT if the URDF has the "

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from calib.basics.arrays import Array
 from calib.basics.values import Value
-from calib.errors import UrdfError, choices
+from calib.errors import CalibError, UrdfError, choices
 from calib.robot.urdf import Urdf
 from calib.robot.urdf_tree import UrdfJoint
 from calib.show.lines import deg, fill, mm
@@ -80,6 +80,11 @@ class Handover(Value):
         """
         calibration = source.require_calibration()
         check_names(options)
+        if options.parent is not None:
+            raise CalibError(
+                "--parent and --child name a transform that is published: --to static-transform. Into the URDF come "
+                "frames with --frame-link and --target-link of calib calibrate."
+            )
         robot = source.robot
         urdf = robot.urdf
         camera = board = None

@@ -47,6 +47,7 @@ Examples:
   calib convert rows.csv --to urdf -o robot.urdf
   calib convert result.json --to camera-mount --camera-frame color_optical --move camera_joint -o robot.urdf
   calib convert result.json --camera-frame color_optical -o camera.launch.py
+  calib convert result.json --to static-transform --parent left_camera --child right_camera -o pair.launch.py
 
 Every file is read back and compared with the robot before it appears; what a format cannot hold is reported. A result
 whose verdict is 'do not use', a URDF that states this verdict, and joint zeros that are no better than none are refused
@@ -138,6 +139,20 @@ def convert(
     new_board_frame: Annotated[
         str | None, typer.Option(metavar="NAME", help="Name of a link to add at the board.")
     ] = None,
+    parent: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Station (camera, tracker), target (board), further robot or link in which the pose of --child is "
+            "published; with --to static-transform.",
+        ),
+    ] = None,
+    child: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Station, target, robot or link on the same body; see --parent."
+        ),
+    ] = None,
     to: Annotated[
         str | None,
         typer.Option(
@@ -163,6 +178,8 @@ def convert(
         new_camera_frame=new_camera_frame,
         board=board,
         new_board_frame=new_board_frame,
+        parent=parent,
+        child=child,
     )
     options = Options(
         to=to,

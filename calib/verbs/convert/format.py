@@ -64,6 +64,10 @@ class CameraOptions:
     board: str | None = None
     #: Name of a link to add at the board.
     new_board_frame: str | None = None
+    #: Station, target, robot or link in which a pose is published.
+    parent: str | None = None
+    #: Station, target, robot or link on the same body whose pose is published.
+    child: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,8 @@ from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
 from calib.basics.values import Value
 from calib.errors import CalibError, FileError
+from calib.result.calibration import Calibration
+from calib.result.transforms import LINK, ROBOT, find
 from calib.show.lines import fill
 from calib.verbs.convert.camera_frames import (
     check_names,
@@ -136,10 +138,15 @@ def transform_of(source: Source, options: CameraOptions) -> StaticTransform:
 
     Raises:
         CalibError: The source is not a calibration; or a camera and a board are named together, or neither.
-        ModelError: There is no such camera or board.
+        ModelError: There is no such camera or board, or no constant transform between parent and child.
         UrdfError: See `calib.verbs.convert.fixed_frames.mount_joint`.
     """
     check_names(options)
+    if options.parent is not None and options.child is not None:
+        calibration = source.require_calibration()
+        found = calibration.transform(options.parent, options.child)
+        parent, child = (_frame_id(calibration, name) for name in (options.parent, options.child))
+        return StaticTransform(parent, child, found.pose)
     camera_frame = options.camera_frame or options.new_camera_frame
     if camera_frame is not None and options.new_board_frame is not None:
         raise CalibError(
@@ -157,6 +164,12 @@ def transform_of(source: Source, options: CameraOptions) -> StaticTransform:
         estimated = estimated_board(calibration, options.board)
     child = camera_frame or options.new_board_frame or ""
     return StaticTransform(estimated.link, child, estimated.T_link_frame)
+
+
+def _frame_id(calibration: Calibration, name: str) -> str:
+    """Return the frame of tf2 that stands for a name: of a robot and a link the link, else the name itself."""
+    placed = find(calibration, name)
+    return placed.link if placed.what in (ROBOT, LINK) else placed.name
 
 
 def _write(source: Source, path: Path, options: Options) -> Notes:

@@ -201,7 +201,7 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
         raise MeasurementError(f"{m.source or 'Measurements'}: no row measures anything.")
     # Repeats have the same joint values: frames, targets and loads of a cell have no part in it.
     of_images = Cell(cameras=evaluation.cameras, boards=evaluation.boards)
-    rows, _ = rows_and_setup(evaluation.robot, m, of_images)
+    rows, _ = rows_and_setup(evaluation.robot, m, setup.in_cell(of_images))
 
     # The rows that frames and targets were registered to, if any were; and those that alone see one of them.
     registration = registration_rows(m)

@@ -180,7 +180,7 @@ def evaluate(
     completed = cell if result is None else result.complete_cell(cell)
     boards, cameras = list(completed.boards.values()), list(completed.cameras.values())
     with table_of(data, boards, cameras, quiet=quiet) as path:
-        arm, measurements = load_with_data(robot, cell, path, table_options)
+        arm, measurements = load_with_data(robot, cell, path, table_options, result)
 
     target_source = "as given"
     if result is not None and "target" not in cell_options.given:

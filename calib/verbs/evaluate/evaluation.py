@@ -33,6 +33,7 @@ from calib.numerics.errors import Errors
 from calib.result.board_errors import BoardErrors, board_errors
 from calib.result.fitted_model import NonGeometric
 from calib.robot.robot import Robot
+from calib.show.measured_rows import chains_of_rows
 
 #: Places that may be taken from an earlier result.
 PLACES = ("frame", "target")
@@ -195,6 +196,21 @@ class Evaluation(Value):
             errors[name] = Errors.of(self.residual[rows], self.channels.select(rows))
         return errors
 
+    @property
+    def errors_by_chain(self) -> dict[str, Errors]:
+        """The errors of all rows of each chain, by its links such as ``"base to left_tool"``; empty for one chain."""
+        chain = chains_of_rows(self.robot, self.setup, self.measurements)
+        if chain is None:
+            return {}
+        errors = {}
+        for number, one in enumerate(self.robot.chains):
+            rows = chain == number
+            if np.any(rows):
+                errors[f"{one.base} to {one.tip}"] = Errors.of(
+                    self.residual[rows], self.channels.select(rows)
+                )
+        return errors
+
 
 @one_blas_thread()
 def evaluate(
@@ -253,11 +269,12 @@ def evaluate(
     if known is not None:
         setup = replace(_with_known(setup, known, which), internals=known.internals)
     if non_geometric is None:
-        T_base_tip = arm.poses(rows.joints)
+        T_base_tip = arm.poses(rows.joints, rows.samples.chain)
     else:
         kinematics = replace(non_geometric.kinematics, robot=arm)
         model = replace(non_geometric, kinematics=kinematics)
-        T_base_tip = model.tips(Samples.at(rows.joints, rows.samples.load, rows.samples.moves))
+        samples = Samples.at(rows.joints, rows.samples.load, rows.samples.moves)
+        T_base_tip = model.tips(replace(samples, chain=rows.samples.chain))
 
     # Boards that look the same from both ends are numbered from the end that suits.
     from_one_end = with_ends_of(table, known_cell, rows, setup.with_given_fixed(), T_base_tip)

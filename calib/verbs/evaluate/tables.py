@@ -97,6 +97,8 @@ def errors(
                 # Without validation rows, nothing says that anything is estimated from these.
                 is_plain = key == "estimation" and not validated
                 rows.append(ErrorRow(f"{'measured' if is_plain else key} rows", of_set))
+            for chain, of_chain in evaluation.errors_by_chain.items():
+                rows.append(ErrorRow(chain, of_chain))
         table = error_table(error_title(unit, channels), unit, rows, columns, names="set")
         yield replace(table, indent="  ")
 

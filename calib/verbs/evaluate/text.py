@@ -99,10 +99,12 @@ def place_sentences(e: Assessment, source: str) -> list[str]:
     evaluation = e.evaluations["urdf"]
     origin = "registered to the rows" if "target" in evaluation.registered else source
     sentences, setup = [], evaluation.setup
-    for name, T in zip(setup.targets, setup.T_tip_target, strict=True):
+    for t, (name, T) in enumerate(zip(setup.targets, setup.T_tip_target, strict=True)):
         place = ", ".join(map(mm, T[:3, 3]))
         label = f"Target '{name}'" if len(setup.targets) > 1 else "Target"
-        sentences.append(f"{label} at ({place}) mm in {evaluation.robot.tip}, {origin}.")
+        links = evaluation.setup.target_links
+        link = links[t] if links else evaluation.robot.tip
+        sentences.append(f"{label} at ({place}) mm in {link}, {origin}.")
     if "frame" in evaluation.registered:
         label = "Measurement frames" if len(setup.groups) > 1 else "Measurement frame"
         sentences.append(f"{label}: registered to the rows.")

@@ -31,8 +31,9 @@ from calib.model.observability import Observability
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 
-#: The model that is inspected in place of ``"auto"``.
+#: The model that is inspected in place of ``"auto"``, and for a robot of several chains.
 _MODEL = "dh"
+_MODEL_OF_CHAINS = "placement"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,8 @@ def inspect(
     Args:
         robot: The nominal robot; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
             tip, or those that follow from the table's joint columns.
-        cell: Its model is analysed, ``"auto"`` as ``"dh"``; or the path of a cell file; None: the default cell. Errors
-            of single corners of its boards are left out.
+        cell: Its model is analysed, ``"auto"`` as ``"dh"``, of several chains as ``"placement"``; or the path of a cell
+            file; None: the default cell. Errors of single corners of its boards are left out.
         measurements: Their estimation rows are analysed, with frames and targets registered; or the path of their
             table. None: 200 poses over the joint limits, with a target or anchor that the cell does not give at a
             generic place.
@@ -95,9 +96,11 @@ def inspect(
         other_end = table.other_end
         rows, setup = rows_and_setup(arm, table, known)
         rows = rows.select(table.estimation)
-        setup = register(arm.poses(rows.joints), setup, rows)
+        setup = register(arm.poses(rows.joints, rows.samples.chain), setup, rows)
         source = table.source
-    name = _MODEL if known.model == AUTO else known.model
+    name = known.model
+    if name == AUTO:
+        name = _MODEL_OF_CHAINS if arm.branches else _MODEL
     model = setup.turn_directions(Task(arm, known, setup, name).error_model())
     kinematics = Kinematics(arm, model, setup.T_frame_base, setup.T_tip_target)
     problem = Problem.initial(kinematics, rows, known_distances(known, setup))
@@ -130,5 +133,5 @@ def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tupl
         T_frame_base[:, :3, 3] = np.negative(GENERIC_ANCHOR)
         assumed.append("anchor")
     setup = setup.with_poses(T_frame_base, T_tip_target)
-    T_frame_target = setup.target_poses(robot.poses(rows.joints), rows.samples)
+    T_frame_target = setup.target_poses(robot.poses(rows.joints, rows.samples.chain), rows.samples)
     return rows.as_measured_at(T_frame_target), setup, tuple(assumed)

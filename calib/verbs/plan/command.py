@@ -253,6 +253,7 @@ def plan(
 ) -> None:
     """Load robot and cell, whose boxes are the obstacles, plan the poses, write the files named, and print the plan."""
     from calib.basics.tables import Table
+    from calib.data.cell_chains import refuse_several_chains
     from calib.data.columns import column_names
     from calib.result.calibration_file import write_table
     from calib.verbs.plan.plan import plan as plan_poses, refuse_region
@@ -266,6 +267,7 @@ def plan(
     cell = images.in_cell(cell_options.cell())
     # Without a tip the chain is that of the joints in the table of poses already measured.
     joints = None if poses.taken is None else column_names(Table.read(poses.taken))
+    refuse_several_chains(cell, "calib plan chooses poses")
     arm = load(robot, cell, joints)
     request = poses.request(arm, images.limits())
     instrument = instrument_of(cell, request.sight)

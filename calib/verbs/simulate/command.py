@@ -89,6 +89,7 @@ def simulate(
 
     It raises `CalibError` if neither a table nor a folder of pictures is named, or a file may not be written.
     """
+    from calib.data.cell_chains import refuse_several_chains
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.picture_files import write_pictures
     from calib.verbs.simulate.scenario import simulate as simulate_rows
@@ -110,6 +111,7 @@ def simulate(
     inputs = [robot, poses.poses, cell_options.file, errors.truth_robot]
     check_outputs(files, inputs, force=force)
     cell = cell_options.cell()
+    refuse_several_chains(cell, "calib simulate makes rows")
     arm = load(robot, cell)
     scenario = read_scenario(arm, cell, cell_options.file, errors)
     if images is not None and not scenario.kind.is_image:

@@ -87,9 +87,9 @@ def view(
         cell = with_chain_of_result(cell, result, str(calibration))
     measurements = None
     if data is None:
-        arm = load(robot, cell)
+        arm = load(robot, cell, result=result)
     else:
-        arm, measurements = load_with_data(robot, cell, data, table_options)
+        arm, measurements = load_with_data(robot, cell, data, table_options, result)
 
     if result is not None and calibration is not None:
         # The robot with the joint origins before and after the calibration.

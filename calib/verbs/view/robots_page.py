@@ -30,7 +30,14 @@ from calib.result.calibration_file import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
 from calib.show.look import BEAM, ESTIMATION, OUTLIER, VALIDATION
 from calib.show.scene.html_page import COLOURS, LegendEntry, Page, fill_page, floats
-from calib.show.scene.posed_robot import PosedRobot, Visual, packed, read_visuals, translation
+from calib.show.scene.posed_robot import (
+    PosedRobot,
+    Visual,
+    chain_bases,
+    packed,
+    read_visuals,
+    translation,
+)
 from calib.show.scene.scene import SCENE, draw_robot, new_scene, solid, span
 from calib.verbs.view.arrangement import Arrangement, arrange, outline_of
 from calib.verbs.view.camera_images import draw_cameras, images_table
@@ -260,10 +267,17 @@ def pose_robots(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str
     Returns:
         The robots by the same names.
     """
-    base = np.broadcast_to(np.eye(4), (len(view.q), 4, 4))
     targets = {"nominal": view.nominal_target, "calibrated": view.calibrated_target}
     return {
-        name: PosedRobot.of(robot, view.q, visuals[name], base, targets[name])
+        name: PosedRobot.of(
+            robot,
+            view.q,
+            visuals[name],
+            chain_bases(robot, view.q, view.chain),
+            targets[name],
+            view.chain,
+            view.marks.get(name, ()),
+        )
         for name, robot in view.robots.items()
     }
 
@@ -295,7 +309,8 @@ def _magnified_targets(view: View, factor: int) -> Array:
     if view.calibrated is None:
         return np.zeros((0, 3))
     # The bases are one above the other.
-    nominal = (view.nominal.poses(view.q) @ view.nominal_target)[:, :3, 3]
+    nominal = chain_bases(view.nominal, view.q, view.chain)
+    nominal = (nominal @ view.nominal.poses(view.q, view.chain) @ view.nominal_target)[:, :3, 3]
     is_shown = np.array(view.kinds) != "flagged"
     moved = nominal + factor * (view.predicted[1] - nominal)
     return np.asarray(moved[is_shown])

@@ -31,10 +31,10 @@ def seen_from_root(e: Evaluation) -> Evaluation:
     target, which the hand carries: T_target_tip becomes a T_frame_base, and T_base_frame a T_tip_target.
 
     Args:
-        e: The evaluation of a robot; any other one is returned as it is.
+        e: The evaluation of a robot; any other one, and one of several chains, is returned as it is.
     """
     robot = e.robot
-    if not _moves(robot, robot.base) or _moves(robot, robot.tip):
+    if robot.branches or not _moves(robot, robot.base) or _moves(robot, robot.tip):
         return e
     m = e.measurements
     old = e.setup

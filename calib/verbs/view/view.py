@@ -10,22 +10,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
-from calib.basics.arrays import Array, Mask, rigid_inverse
+from calib.basics.arrays import Array, Integers, Mask, rigid_inverse
 from calib.basics.values import ReadOnlyMapping
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import ModelError, choices
+from calib.fit.registration.setup import Setup
 from calib.result.calibration import Calibration
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
-from calib.show.measured_rows import (
-    measured_in_base,
-    setup_of_rows,
-)
+from calib.show.measured_rows import chains_of_rows, measured_in_base, setup_of_rows
 from calib.show.robot_sentences import other_run_sentence
-from calib.show.scene.posed_robot import translation
+from calib.show.scene.posed_robot import Visual, chain_bases, creased, stands, translation
 from calib.show.verdict_text import do_not_use_text, reason_text
 from calib.verbs.evaluate.evaluation import PLACES, Evaluation, evaluate
 from calib.verbs.view.camera_images import CameraImages, camera_images
@@ -45,6 +44,9 @@ _POSES = 24
 
 #: Poses of each joint of a robot alone.
 _POSES_PER_JOINT = 9
+
+#: Radius of a ball that marks a target on a robot of several chains [m].
+_MARK = 0.012
 
 #: No cameras are known.
 NO_CAMERAS: Mapping[str, Camera] = ReadOnlyMapping()
@@ -93,6 +95,10 @@ class View:
     nominal_target: Array = field(default_factory=lambda: np.eye(4))
     #: The same of the calibrated one
     calibrated_target: Array = field(default_factory=lambda: np.eye(4))
+    #: Shape (N,), the chain that each pose was measured through, by its index in `Robot.chains`; None: the first
+    chain: Integers | None = None
+    #: Targets, and frames on links that joints move, of each robot, drawn at their links; by "nominal", "calibrated"
+    marks: Mapping[str, tuple[Visual, ...]] = field(default_factory=dict)
     #: Measurements at the poses; None: nothing was measured
     measured: Measured | None = None
     #: Index of the pose shown first, from 0
@@ -156,9 +162,11 @@ class View:
     @property
     def predicted(self) -> Array:
         """Target of each robot as registered, in the calibrated one's base, (2, N, 3) [m]; of one robot twice."""
-        T_base_first = self.T_base_nominal @ self.nominal.poses(self.q) @ self.nominal_target
-        second = self.calibrated or self.nominal
-        T_base_second = second.poses(self.q) @ self.calibrated_target
+        first, second = self.nominal, self.calibrated or self.nominal
+        T_first = chain_bases(first, self.q, self.chain) @ first.poses(self.q, self.chain)
+        T_second = chain_bases(second, self.q, self.chain) @ second.poses(self.q, self.chain)
+        T_base_first = self.T_base_nominal @ T_first @ self.nominal_target
+        T_base_second = T_second @ self.calibrated_target
         return np.array([T_base_first[:, :3, 3], T_base_second[:, :3, 3]])
 
 
@@ -177,7 +185,7 @@ def view_of(calibration: Calibration, *, accepted: bool = False) -> View:
     before = Evaluation(c.nominal, m, c.nominal_setup, (), c.rows.residual_nominal, c.rows.channels)
     after = Evaluation(c.robot, m, c.setup, (), c.rows.residual_calibrated, c.rows.channels)
     view = view_at_rows(before, after, c.rows.flagged, c.optics.cameras)
-    if np.array_equal(c.robot.placements, c.nominal.placements):
+    if _same_origins(c.robot, c.nominal):
         meaning = "unchanged: no joint origin was corrected"
     elif not do_not_use_text(c.verdict):
         meaning = "the corrected URDF"
@@ -218,6 +226,11 @@ def view_of_result(
     after = result.corrected(robot)
     if table is None:
         view = view_of_robots(before, after, cells=(cell, cell))
+        marks = {
+            "nominal": marks_of(before, result.nominal_setup),
+            "calibrated": marks_of(after, result.setup),
+        }
+        view = replace(view, marks=marks)
         if "target" in known:
             first_target = result.nominal_setup.T_tip_target[0]
             second_target = result.setup.T_tip_target[0]
@@ -232,12 +245,18 @@ def view_of_result(
         flagged = np.isin(table.rows, numbers) & is_same_table
         view = view_at_rows(first, second, flagged, result.optics.cameras or cell.cameras)
     origins = f"joint origins of {source}"
-    if np.array_equal(before.placements, after.placements):
+    if _same_origins(before, after):
         origins = "unchanged: no joint origin was corrected"
     names = (("Nominal", "before the calibration"), ("Calibrated", f"{origins} (run {result.run})"))
     view = _with_verdict(replace(view, names=names), result)
     other_run = other_run_sentence(robot, result, source)
     return replace(view, note=" ".join(filter(None, [view.note, other_run])))
+
+
+def _same_origins(robot: Robot, other: Robot) -> bool:
+    """Return whether two robots of the same chains have the same joint origins."""
+    chains = zip(robot.chains, other.chains, strict=True)
+    return all(np.array_equal(one.placements, two.placements) for one, two in chains)
 
 
 def _with_verdict(view: View, c: Calibration) -> View:
@@ -248,6 +267,27 @@ def _with_verdict(view: View, c: Calibration) -> View:
     if c.verdict.reasons:
         note = reason_text(c.verdict.reasons[0])
     return replace(view, verdict=c.verdict.use, note=note)
+
+
+def marks_of(robot: Robot, setup: Setup) -> tuple[Visual, ...]:
+    """Return what is drawn of a setup at the links of a robot of several chains: targets, and frames that are carried.
+
+    Targets are balls; frames boxes, longer along their z. Frames that stand still are drawn as stations.
+    """
+    if not robot.branches:
+        return ()
+    ball = trimesh.creation.icosphere(2, _MARK)
+    marks = [
+        Visual(link, T, creased(ball.vertices, ball.faces))
+        for link, T in zip(setup.target_links, setup.T_tip_target, strict=False)
+    ]
+    if not stands(robot):
+        box = trimesh.creation.box((2.0 * _MARK, 2.0 * _MARK, 4.0 * _MARK))
+        for link, T in zip(setup.frame_links, setup.T_frame_base, strict=False):
+            _, way = robot.urdf.chain(robot.urdf.root, link)
+            if any(robot.urdf.joint(name).type != "fixed" for name in way):
+                marks.append(Visual(link, rigid_inverse(T), creased(box.vertices, box.faces)))
+    return tuple(marks)
 
 
 # Views of robots
@@ -391,27 +431,40 @@ def view_at_rows(
     # Both robots are seen from the same station, so that the errors in the picture are those of the tables. If no row
     # measures a position, neither robot's place is estimated: they share their base.
     T_base_nominal = None
-    if np.any(m.where(lambda kind: kind.coordinates)):
+    if stands(last.robot) and np.any(m.where(lambda kind: kind.coordinates)):
         T_base_nominal = (rigid_inverse(T_frame_base) @ T_frame_first)[shown]
     T_base_frame = rigid_inverse(T_frame_base)
     is_base = np.all(np.isclose(T_base_frame, np.eye(4), 0.0, _SAME_FRAME), axis=(1, 2))
-    images = camera_images(first, last, rows, cameras, carries_camera=first.robot is not chain)
+    images = None
+    if stands(last.robot):
+        images = camera_images(first, last, rows, cameras, carries_camera=first.robot is not chain)
+    q = m.joints_for(first.robot.joint_names)
+    chain_of_row = chains_of_rows(first.robot, first.setup, m)
+    points = measured_in_base(m, T_frame_base)
+    T_scene_base = chain_bases(last.robot, q, chain_of_row)
+    points = np.einsum("nij,nj->ni", T_scene_base[:, :3, :3], points) + T_scene_base[:, :3, 3]
+    stand = stands(last.robot)
+    marks = {"nominal": marks_of(first.robot, first.setup)}
+    if second is not None:
+        marks["calibrated"] = marks_of(last.robot, last.setup)
     measured = Measured(
-        points=measured_in_base(m, T_frame_base)[shown],
+        points=points[shown],
         errors={unit: of_unit[:, shown] for unit, of_unit in errors.items()},
         T_base_nominal=T_base_nominal,
-        stations=np.unique(T_base_frame[m.positions & ~is_base], axis=0),
+        stations=np.unique(T_base_frame[m.positions & ~is_base & stand], axis=0),
         images=None if images is None else images.at(shown),
         rows=len(rows) if len(shown) < len(rows) else 0,
     )
     return View(
         first.robot,
         None if second is None else last.robot,
-        m.joints_for(first.robot.joint_names)[shown],
+        q[shown],
         labels=tuple(labels),
         kinds=tuple(kinds),
         nominal_target=nominal_target[shown],
         calibrated_target=calibrated_target[shown],
+        chain=None if chain_of_row is None else chain_of_row[shown],
+        marks=marks,
         measured=measured,
         start=int(np.searchsorted(shown, start)),
     )
