@@ -461,11 +461,16 @@ def _words(kind: Any, written: _Written) -> str:  # noqa: ANN401
 
 
 def options(kind: type, groups: Collection[str] = ()) -> Iterator[Option]:
-    """Yield the options of a record's fields with their help: those of all verbs, and those of some groups."""
+    """Yield the options of a record's fields with their help: those of all verbs, and those of some groups.
+
+    An option that gives two fields is yielded once.
+    """
+    yielded = set()
     for _, row in keys_of(kind):
         for option in row.options:
-            if option.group and option.group not in groups:
+            if option.flag in yielded or (option.group and option.group not in groups):
                 continue
+            yielded.add(option.flag)
             help_text = option.help or row.help
             if row.absent and not option.help:
                 help_text += f" Default: {row.absent}."

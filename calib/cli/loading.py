@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,28 +12,36 @@ from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.data.cell import Cell
+    from calib.data.cell_chains import Sight
     from calib.data.measurements import Measurements
     from calib.result.calibration import Calibration
     from calib.robot.robot import Robot
 
 
-def load(robot: str, cell: Cell, measured: Collection[str] | None = None) -> Robot:
-    """Load a robot's chain between the cell's base and tip, with the joints that the cell holds and couples.
+def load(
+    robot: str,
+    cell: Cell,
+    measured: Collection[str] | None = None,
+    sights: Iterable[Sight] | None = None,
+) -> Robot:
+    """Load a robot between the links of the cell's frames and targets, with the joints that the cell holds and couples.
 
     Args:
         robot: Path of a URDF, a xacro or a file of DH rows, or a robot's name, as `Robot.load` takes it.
-        cell: Names base, tip, held joints and coupled readings.
+        cell: Names links, held joints and coupled readings.
         measured: Names of the joints whose values are known, which decide a tip that the cell does not name; None: all.
+        sights: Stations and targets that occur together; None: all that the cell names.
 
     Returns:
-        The chain.
+        The robot.
 
     Raises:
         CalibError: As of `Robot.load`.
     """
-    from calib.robot.robot import Robot
+    from calib.data.cell_chains import robot_of_cell
+    from calib.robot.urdf import read_urdf
 
-    return Robot.load(robot, cell.base, cell.tip, measured, cell.held, cell.coupling)
+    return robot_of_cell(read_urdf(robot), cell, measured, sights)
 
 
 def load_with_data(
@@ -59,6 +67,7 @@ def load_with_data(
         CalibError: Arguments in the wrong order, a unit without a list of points, or a fault of the robot or the table.
     """
     from calib.basics.tables import Table
+    from calib.data.cell_chains import sights_of
     from calib.data.columns import column_names
     from calib.data.measurements import Measurements
     from calib.data.whole_turns import brought_back
@@ -77,9 +86,17 @@ def load_with_data(
         )
     columns = options.parsed()
     table = Table.read(data)
-    arm = load(robot, cell, column_names(table, columns))
+    sights = sights_of(table, columns) if cell.bases or cell.tips else None
+    arm = load(robot, cell, column_names(table, columns), sights)
     measurements = Measurements.read(
-        table, arm.joint_names, arm.joint_types, columns, cell.kind, points, points_unit
+        table,
+        arm.joint_names,
+        arm.joint_types,
+        columns,
+        cell.kind,
+        points,
+        points_unit,
+        needs_all_joints=not arm.branches,
     )
     return arm, brought_back(arm, measurements)
 

@@ -72,14 +72,17 @@ from calib.data.cell_keys import (
     board_keys,
     by_name,
     camera_keys,
+    link_options,
     pose_form,
     pose_keys,
     sigma_keys,
+    words_by_name,
 )
 from calib.data.priors import Priors, prior_keys
 from calib.data.record import Record
 from calib.data.surroundings import (
     Box,
+    FurtherRobot,
     GroupDistance,
     Reflector,
     Tracker,
@@ -99,6 +102,7 @@ __all__ = [
     "AUTO",
     "Box",
     "Cell",
+    "FurtherRobot",
     "GroupDistance",
     "Priors",
     "Record",
@@ -124,6 +128,37 @@ SCALE_SIGMAS: Mapping[str, float] = ReadOnlyMapping(
 UNKNOWN_SCALE = 1e-2
 
 
+#: Options of the links of measurement frames, for ``base`` and ``bases``.
+_BASE_OPTIONS = link_options(
+    (
+        "--base",
+        "Link in whose frame the chain starts. Default: the URDF's root.",
+        "the frame of that station",
+    ),
+    (
+        "--camera-on",
+        "Link that the camera is mounted on: the flange, or, for a stationary camera, the URDF's root (default). The "
+        "same as --base.",
+        "the camera of that station",
+    ),
+)
+
+#: Options of the links of targets, for ``tip`` and ``tips``.
+_TIP_OPTIONS = link_options(
+    (
+        "--tip",
+        "Link that the target is mounted on. Default: the end of the longest chain whose joints all have a column in "
+        "the table, before a gripper or hand.",
+        "that target",
+    ),
+    (
+        "--board-on",
+        "Link that the board is mounted on: the URDF's root if the camera is on the hand. The same as --tip.",
+        "that board",
+    ),
+)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell(Value):
     """The measurement setup of a calibration: frames, targets, instrument, priors and surroundings.
@@ -143,15 +178,17 @@ class Cell(Value):
         "Link in whose frame the chain starts.",
         default=None,
         absent="the URDF's root",
-        option=(
-            Option("--base"),
-            Option(
-                "--camera-on",
-                metavar="LINK",
-                help="Link that the camera is mounted on: the flange, or, for a stationary camera, the URDF's root "
-                "(default). The same as --base.",
-            ),
-        ),
+        option=_BASE_OPTIONS,
+    )
+    #: Links that measurement frames are mounted on, by station; those of the others is ``base``.
+    bases: Mapping[str, str] = key(
+        "bases",
+        named(text("the name of a link")),
+        "Links that measurement frames (trackers, cameras) are mounted on by station (column `group`), if they are not "
+        "all on one link.",
+        default_factory=ReadOnlyMapping,
+        absent="`base` for all",
+        option=tuple(replace(o, parse=words_by_name, merge=add_entries) for o in _BASE_OPTIONS),
     )
     #: Tip link; None: left to the command line or the URDF.
     tip: str | None = key(
@@ -160,14 +197,35 @@ class Cell(Value):
         "Link that the target is mounted on.",
         default=None,
         absent="the end of the longest chain whose joints all have a column in the table, before a gripper or hand",
-        option=(
-            Option("--tip"),
-            Option(
-                "--board-on",
-                metavar="LINK",
-                help="Link that the board is mounted on: the URDF's root if the camera is on the hand. The same as "
-                "--tip.",
-            ),
+        option=_TIP_OPTIONS,
+    )
+    #: Links that targets are mounted on, by name; those of the others is ``tip``.
+    tips: Mapping[str, str] = key(
+        "tips",
+        named(text("the name of a link")),
+        "Links that targets (reflectors, boards) are mounted on by name (column `target`), if they are not all on one "
+        "link.",
+        default_factory=ReadOnlyMapping,
+        absent="`tip` for all",
+        option=tuple(replace(o, parse=words_by_name, merge=add_entries) for o in _TIP_OPTIONS),
+    )
+    #: Robots besides the first one, by name, which begins the names of their links and joints: ``right/tool0``.
+    robots: Mapping[str, FurtherRobot] = key(
+        "robots",
+        named(table_of(FurtherRobot)),
+        "Robots besides the first one, see below.",
+        default_factory=ReadOnlyMapping,
+        absent="none",
+        option=Option(
+            "--other-robot",
+            metavar="NAME=ROBOT",
+            type=list[str],
+            help="A further robot of the cell: its URDF, or its name. Names of its links and joints begin with NAME/, "
+            "here and in the table. Its base in that of the first robot is estimated.",
+            parse=lambda typed, flag: {
+                name: FurtherRobot(robot) for name, robot in words_by_name(typed, flag).items()
+            },
+            merge=add_entries,
         ),
     )
     #: True if the targets are estimated with the robot. A fit registers them first; ``target`` is then one of several

@@ -88,6 +88,67 @@ def sigma_keys() -> Sequence[Key]:
     return rows
 
 
+# Links
+
+
+def link_options(*options: tuple[str, str, str]) -> tuple[Option, ...]:
+    """Return the options that name a link, ``LINK``, or several, each of what it is the link of, ``NAME=LINK``.
+
+    Args:
+        options: Of each its flag, its help, and what the name is that of.
+    """
+    return tuple(
+        Option(
+            flag,
+            metavar="[NAME=]LINK",
+            type=list[str],
+            help=f"{help_text} With NAME=, of {named}.",
+            parse=_one_link,
+            merge=lambda of_file, given: given or of_file,
+        )
+        for flag, help_text, named in options
+    )
+
+
+def _words(typed: str | Iterable[str]) -> list[str]:
+    """Return words that are typed as a list; a manifest of a fleet has one word."""
+    return [typed] if isinstance(typed, str) else list(typed)
+
+
+def _one_link(typed: str | Iterable[str], flag: str) -> str | None:
+    """Return the link that is typed without a name; None if there is none, CalibError if there are two."""
+    links = [word.strip() for word in _words(typed) if "=" not in word]
+    if len(links) > 1:
+        raise CalibError(
+            f"{flag} is given twice, as {choices(links)}; put the name of a station or target and = before each."
+        )
+    return links[0] if links else None
+
+
+def words_by_name(typed: str | Iterable[str], flag: str) -> dict[str, str]:
+    """Return the words that are typed after a name, ``NAME=WORD``, by it.
+
+    Args:
+        typed: Words, with or without a name.
+        flag: The option, for messages.
+
+    Raises:
+        CalibError: A name or a word is empty, or a name is given twice.
+    """
+    result: dict[str, str] = {}
+    for word in _words(typed):
+        name, equals, link = (part.strip() for part in word.partition("="))
+        if not equals:
+            continue
+        if not name or not link or name in result:
+            fault = f"names '{name}' twice" if name in result else "lacks what stands beside ="
+            raise CalibError(
+                f"{flag} '{word}' {fault}; write a name, = and what it is of, each name once."
+            )
+        result[name] = link
+    return result
+
+
 # The measurement frame
 
 
@@ -124,8 +185,8 @@ _EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', PLAIN: "1e-3", COMPLIANCE: '
 
 #: Quantities of geometric parameters by a pattern of their names, see docs/parameters.md; the first that fits is taken.
 _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    (r"[ad]\d+|(frame|target)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
-    (r"(alpha|beta|theta)\d+|(frame|target)_r[xyz](\[.*\])?|.*\.r[xyz]", (ANGLE,)),
+    (r"[ad]\d+|(frame|target|mount)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
+    (r"(alpha|beta|theta)\d+|(frame|target|mount)_r[xyz](\[.*\])?|.*\.r[xyz]", (ANGLE,)),
     (r".*\.zero", (LENGTH, ANGLE)),
 )
 

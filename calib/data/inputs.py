@@ -8,7 +8,7 @@ anchor.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TypeAlias
 
@@ -19,6 +19,7 @@ from calib.basics.arguments import check_type
 from calib.basics.arrays import Array
 from calib.basics.tables import Table
 from calib.data.cell import Cell
+from calib.data.cell_chains import Sight, robot_of_cell, sights_of
 from calib.data.columns import column_names
 from calib.data.measurements import Measurements
 from calib.data.whole_turns import brought_back
@@ -64,6 +65,7 @@ def robot_of(
     cell: Cell | None = None,
     *,
     measured: Collection[str] | None = None,
+    sights: Iterable[Sight] | None = None,
     argument: str = "robot",
     read: Callable[[str], Urdf] = read_urdf,
 ) -> Robot:
@@ -74,6 +76,7 @@ def robot_of(
         cell: Names base, tip, held joints and coupled readings of one that is read; None: the URDF's root and its
             farthest link.
         measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
+        sights: Stations and targets that occur together; None: all that the cell names.
         argument: Its name, for messages.
         read: Reads the URDF of a path or a name.
 
@@ -93,7 +96,7 @@ def robot_of(
             )
         return robot
     urdf = read(str(robot))
-    return Robot.from_urdf(urdf, cell.base, cell.tip, measured, cell.held, cell.coupling)
+    return robot_of_cell(urdf, cell, measured, sights)
 
 
 def chain_of(robot: Robot) -> Cell:
@@ -126,11 +129,19 @@ def inputs_of(
     _check_robot(robot, "robot")
     check_type("measurements", table, (Measurements, str, Path), TABLE)
     if isinstance(table, Measurements):
-        arm = robot_of(robot, cell, measured=table.joint_names, read=read)
+        sights = dict.fromkeys(zip(table.groups, table.targets, strict=True))
+        arm = robot_of(robot, cell, measured=table.joint_names, sights=sights, read=read)
         return arm, brought_back(arm, table), cell
     read_table = Table.read(table)
-    arm = robot_of(robot, cell, measured=column_names(read_table), read=read)
-    measurements = Measurements.read(read_table, arm.joint_names, arm.joint_types, kind=cell.kind)
+    names = column_names(read_table)
+    arm = robot_of(robot, cell, measured=names, sights=sights_of(read_table), read=read)
+    measurements = Measurements.read(
+        read_table,
+        arm.joint_names,
+        arm.joint_types,
+        kind=cell.kind,
+        needs_all_joints=not arm.branches,
+    )
     return arm, brought_back(arm, measurements), cell
 
 

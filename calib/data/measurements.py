@@ -68,6 +68,7 @@ _ARRAYS = (
     "board_points",
     "covariances",
     "moves",
+    "without_joint",
 )
 
 #: Attributes that map names to arrays with an entry a row.
@@ -154,6 +155,9 @@ class Measurements(Value):
     #: Last move of each joint before the row, shape (N, n), [rad] or [m], see `calib.numerics.moves.last_moves`; 0
     #: where it is not known. None: their joint values tell, as the rows are in the order of their measurement.
     moves: Array | None = None
+    #: True where a row has no value of a joint, and ``joints`` tells where it stood, shape (N, n): the row's
+    #: chain does not have it. None: every row has all.
+    without_joint: Mask | None = None
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -194,6 +198,14 @@ class Measurements(Value):
             "moves",
             checked_numbers(labels, "moves", moves, (len(self.joint_names),), every_row, _REACH),
         )
+        if self.without_joint is not None:
+            flags = np.array(self.without_joint, dtype=np.bool_)
+            if flags.shape != self.joints.shape:
+                raise MeasurementError(
+                    f"Measurements: 'without_joint' has shape {flags.shape} and should have {self.joints.shape}"
+                )
+            flags.setflags(write=False)
+            fill("without_joint", flags if flags.any() else None)
         if self.rotations is not None:
             check_rotations(labels, self.rotations, is_oriented)
         if self.torques is not None:
@@ -227,6 +239,8 @@ class Measurements(Value):
         kind: str | None = None,
         points: str | Path | None = None,
         points_unit: str | None = None,
+        *,
+        needs_all_joints: bool = True,
     ) -> Measurements:
         """Read a table with units in its header; docs/data-format.md describes it.
 
@@ -250,6 +264,8 @@ class Measurements(Value):
                 `read_points`: the table's column ``point`` names the point of each row; without
                 one they are in the order of the rows. None: the table has the positions.
             points_unit: Unit of that list, ``"mm"``; None: the list names it.
+            needs_all_joints: Whether each row must have a value of each joint; False for a robot of several chains,
+                whose rows need those of their own chain.
 
         Returns:
             The measured rows, in SI units; in the order of their measurement if the table has a column ``order``, else
@@ -272,7 +288,10 @@ class Measurements(Value):
             kind,
             points_elsewhere=elsewhere is not None,
         )
-        measurements = cls(**read_values(table, layout, elsewhere, as_measured=True))
+        values = read_values(
+            table, layout, elsewhere, as_measured=True, needs_all_joints=needs_all_joints
+        )
+        measurements = cls(**values)
         if not measurements.estimation.any():
             raise MeasurementError(
                 f"{measurements.source}, column 'set': no measured row is 'estimate', all "
@@ -427,6 +446,27 @@ class Measurements(Value):
         assert self.moves is not None
         return read_only(self.moves[:, self._columns_of_joints(names)])
 
+    def check_joints_of(self, names: Sequence[str], rows: Mask) -> None:
+        """Refuse rows that lack a value of a joint that they need.
+
+        Args:
+            names: Names of the joints.
+            rows: The rows that need them, shape (N,).
+
+        Raises:
+            MeasurementError: A row lacks one; the text names row and column.
+        """
+        if self.without_joint is None:
+            return
+        columns = self._columns_of_joints(names)
+        lacking = np.argwhere(self.without_joint[:, columns] & rows[:, None])
+        if len(lacking):
+            row, column = lacking[0].tolist()
+            raise MeasurementError(
+                f"{self.source or 'Measurements'}, row {self.rows[row]}, column '{names[column]}': the cell is empty, "
+                f"and the target '{self.targets[row]}' of this row hangs on that joint. Fill in its value."
+            )
+
     def _columns_of_joints(self, names: Sequence[str]) -> list[int]:
         """Return the column of each joint, from 0; MeasurementError if the table lacks one."""
         check_names("names", names)
@@ -475,7 +515,11 @@ class Measurements(Value):
         Returns:
             The rows; ``copies`` has the row numbers of those that were left out.
         """
-        given = [getattr(self, name) for name in _ARRAYS if name not in ("torques", "moves")]
+        given = [
+            getattr(self, name)
+            for name in _ARRAYS
+            if name not in ("torques", "moves", "without_joint")
+        ]
         arrays = [*given, *self.readings.values()]
         numbers = np.hstack([a.reshape(len(self), -1) for a in arrays if a is not None])
         seen = set()

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.records import embedded, key, keys
+from calib.basics.records import embedded, keep_checked, key, keys
 from calib.basics.units import parse_noise
 from calib.basics.value_forms import (
     DEGREES,
@@ -20,6 +20,7 @@ from calib.basics.value_forms import (
     Form,
     Place,
     checked,
+    one_of,
     text,
     three_numbers,
 )
@@ -32,6 +33,18 @@ Distance = TypeVar("Distance", float, Array)
 
 #: A given direction that is shorter has none: its squares leave the range of doubles.
 _SHORTEST_NORMAL = 1e-100
+
+
+def _read_robot(value: Any, place: Place) -> str:  # noqa: ANN401
+    """Return a robot as `calib.robot.urdf.read_urdf` takes it: a file that exists beside the cell file as its path."""
+    if not isinstance(value, str) or not value:
+        raise CalibError(f"{place} is {value!r}; it must be the path of a URDF, or a robot's name.")
+    beside = place.folder / value
+    return str(beside) if beside.is_file() else value
+
+
+#: The form of a robot: the path of its file, or its name.
+_ROBOT = Form("the path of a URDF, or the name of a robot", _read_robot)
 
 
 def _noise_form(part: int) -> Form:
@@ -114,6 +127,41 @@ class Box(Value):
         T_base_box = checked(self.T_base_box, what, IS_POSE.must, IS_POSE.convert)
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "T_base_box", T_base_box)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FurtherRobot(Value):
+    """A robot of the cell besides the first one, and where it stands."""
+
+    #: Path of a URDF, a xacro or DH rows, or a robot's name, as of the first robot.
+    robot: str = key(
+        "robot",
+        _ROBOT,
+        "URDF, xacro or DH rows of the robot, relative to the cell file, or the name of a robot.",
+    )
+    #: Pose of its root link in the first robot's, shape (4, 4), [m]; None: not stated.
+    T_root_base: Array | None = keys(
+        lambda: pose_keys("", "its root link in that of the first robot"),
+        pose_of,
+        default=None,
+        check=IS_POSE,
+    )
+    #: True if that pose is estimated.
+    estimated: bool = key(
+        "mount",
+        one_of({"known": False, "estimate": True}),
+        "Whether the pose is known or estimated.",
+        default=True,
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `CalibError`."""
+        keep_checked(self, "further robot")
+        if self.T_root_base is None and not self.estimated:
+            raise CalibError(
+                f"The pose of the robot '{self.robot}' is marked as known, but is not given; give xyz_mm and rpy_deg, "
+                "or let it be estimated."
+            )
 
 
 def check_box_names(boxes: Iterable[Box]) -> None:

@@ -60,7 +60,12 @@ _WIDE = (
 
 
 def read_values(
-    table: Table, layout: Layout, elsewhere: Points | None = None, *, as_measured: bool = False
+    table: Table,
+    layout: Layout,
+    elsewhere: Points | None = None,
+    *,
+    as_measured: bool = False,
+    needs_all_joints: bool = True,
 ) -> dict[str, Any]:
     """Read what the rows of a table hold.
 
@@ -75,6 +80,7 @@ def read_values(
         as_measured: Whether the rows are sorted as they were measured, by the column ``order`` if there is one, and
             those of no set that measure nothing but joint values are left out; else the table is one of poses, and its
             rows are as they are.
+        needs_all_joints: Whether each row must have a value of each joint.
 
     Returns:
         Arguments of `Measurements`, in SI units.
@@ -87,6 +93,12 @@ def read_values(
     if "kind" in layout.words:
         kinds = np.array(table.column(layout.words["kind"]), dtype=np.str_)
     blocks = _used_numbers(table, layout, kinds)
+    without_joint: Mask | None = None
+    if not needs_all_joints and "joints" in blocks:
+        columns = layout.blocks["joints"]
+        is_empty = [[row[column.index] == "" for column in columns] for row in table.cells]
+        without_joint = np.array(is_empty, dtype=np.bool_).reshape(-1, len(columns))
+        blocks["joints"] = _filled(blocks["joints"], without_joint)
     measured = _measured_rows(table, layout, blocks, kinds)
     if as_measured:
         measures_number = [name for name in layout.kinds if registry.get(name).size]
@@ -165,6 +177,7 @@ def read_values(
         "units": _units(layout, elsewhere),
         **words_of_rows,
         "moves": moves,
+        "without_joint": None if without_joint is None else without_joint[kept],
         "ignored": layout.ignored,
         "kinds": kinds[kept].tolist(),
         "rows": [row_numbers[i] for i in kept],
@@ -222,6 +235,18 @@ def _used_numbers(table: Table, layout: Layout, kinds: Words) -> dict[str, Array
         is_used |= (kinds == "") & (name in _OF_POSE)
         blocks[name] = np.where(is_used[:, None], block, np.nan)
     return blocks
+
+
+def _filled(values: Array, is_empty: Mask) -> Array:
+    """Return numbers of rows, (N, k), with empty cells as in the row before that has one; as the first, or 0, if none.
+
+    A joint that a row does not need is taken to stand where it stood.
+    """
+    row = np.arange(len(values))[:, None]
+    first = np.argmin(is_empty, axis=0)
+    source = np.maximum.accumulate(np.where(is_empty, first, row), axis=0)
+    filled = np.take_along_axis(values, source, axis=0)
+    return np.where(is_empty.all(axis=0), 0.0, filled)
 
 
 def _driven_through(table: Table, layout: Layout) -> Mask:

@@ -121,6 +121,7 @@ class Why(str, Enum):
     WORSE_WITH_OUTLIERS = "worse_with_outliers", Role.AGAINST
     UNKNOWN_ELSEWHERE = "unknown_elsewhere", Role.AGAINST
     VALIDATION_NO_BETTER = "validation_no_better", Role.AGAINST
+    CHAIN_AGAINST = "chain_against", Role.AGAINST
 
     # Given values are in doubt
     TARGET_FAR = "target_far", Role.GIVEN
@@ -140,6 +141,7 @@ class Why(str, Enum):
     FAR_OFF_BEFORE = "far_off_before", Role.CARE
     PARAMETER_FAR = "parameter_far", Role.CARE
     COMPLIANCE_NEGATIVE = "compliance_negative", Role.CARE
+    CHAIN_CARE = "chain_care", Role.CARE
     VALIDATION_SMALL_GAIN = "validation_small_gain", Role.CARE
     VALIDATION_UNLIKE = "validation_unlike", Role.CARE
     MANY_OUTLIERS = "many_outliers", Role.CARE

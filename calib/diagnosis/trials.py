@@ -70,6 +70,13 @@ TOLERANCE = 1e-6
 # Rows and their errors
 
 
+def _tip_poses(robot: Robot | DHRobot, rows: Rows) -> Array:
+    """Return T_base_tip of rows, each by its own chain, (N, 4, 4) [m]; DH rows are one chain."""
+    if isinstance(robot, DHRobot):
+        return robot.poses(rows.joints)
+    return robot.poses(rows.joints, rows.samples.chain)
+
+
 def misfit(robot: Robot | DHRobot, setup: Setup, rows: Rows) -> tuple[float, float]:
     """Register what the setup leaves unknown, and return the errors of the robot then.
 
@@ -82,7 +89,7 @@ def misfit(robot: Robot | DHRobot, setup: Setup, rows: Rows) -> tuple[float, flo
         The rms error of positions [m], the norm of three scalars, and of orientations [rad]; the latter is NaN for
         points.
     """
-    T_base_tip = robot.poses(rows.joints)
+    T_base_tip = _tip_poses(robot, rows)
     registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
     errors = Errors.of(rows.residual(registered.sightings(T_base_tip, rows.samples)), rows.channels)
     return errors["m"].rms, errors["rad"].rms

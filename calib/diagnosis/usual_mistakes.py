@@ -171,7 +171,7 @@ def check_positions(robot: Robot, rows: Rows, source: str) -> None:
     if np.sum(chosen) < 2:
         return
     points = rows.measured[chosen, :3]
-    tips = robot.poses(rows.joints[chosen])[:, :3, 3]
+    tips = robot.poses(rows.joints[chosen], rows.select(chosen).samples.chain)[:, :3, 3]
     apart = float(np.max(np.ptp(tips, axis=0)))
     if np.max(np.ptp(points, axis=0)) > _ONE_PLACE or apart < _FAR_APART:
         return
@@ -203,7 +203,7 @@ def frame_not_found(robot: Robot, setup: Setup, rows: Rows) -> Reason | None:
     sought = frames_to_search(setup, rows)
     if not sought:
         return None
-    T_base_tip = robot.poses(rows.joints)
+    T_base_tip = robot.poses(rows.joints, rows.samples.chain)
     registered = nominal_setup(T_base_tip, setup.with_estimated_not_given(), rows)
     for f in sought:
         of_frame = rows.with_partners(rows.samples.frame == f)
@@ -677,7 +677,7 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
     Frames and targets that the setup leaves unknown are registered with the values before.
     """
     every = np.arange(len(rows))
-    T_base_tip = robot.poses(rows.joints)
+    T_base_tip = robot.poses(rows.joints, rows.samples.chain)
     registered = register(T_base_tip, setup, rows, tolerance=TOLERANCE)
     q = np.repeat(rows.joints, _TRIED, axis=0)
     changes = np.linspace(-reach, reach, _TRIED)

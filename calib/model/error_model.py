@@ -27,6 +27,9 @@ TIP = "(tip)"
 #: Place of a target, followed by the target's name.
 TARGET = "(target)"
 
+#: Family of the pose of a further robot's root in the root of the first one; its place is the fixed joint between them.
+MOUNT = "(mount)"
+
 #: Family of the intrinsics of a camera, which are estimated with its frame.
 CAMERA = "camera"
 
@@ -34,7 +37,7 @@ CAMERA = "camera"
 BOARD = "board"
 
 #: Families of parameters that are not errors of the robot.
-SETUP = (FRAME, TARGET, CAMERA, BOARD)
+SETUP = (FRAME, TARGET, MOUNT, CAMERA, BOARD)
 
 #: A placement that is displaced by less stays as it is, and so does its <origin> [m; rotation matrices: 1].
 _UNMOVED = 1e-12
@@ -92,7 +95,7 @@ class ErrorModel(Value):
 
     def __post_init__(self) -> None:
         """Note the place and the twist of each term; raise ModelError for names given twice and unknown places."""
-        if not self.terms:
+        if not self.mixing.shape[1]:
             object.__setattr__(self, "terms", self.parameters)
             object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
         of_placements = [
@@ -270,12 +273,19 @@ class ErrorModel(Value):
         if not np.any(x):
             return robot
         displacements, _ = self.displacements(x)
-        placements = robot.placements.copy()
-        first = self.places.index(TIP) - len(robot.joints)
-        for i, displacement in enumerate(displacements[first : first + len(placements)]):
-            if np.abs(displacement - np.eye(4)).max() > _UNMOVED:
-                placements[i] = placements[i] @ displacement
-        return robot.with_placements(placements)
+        by_place = dict(zip(self.places, displacements, strict=True))
+        placements_of_limbs = []
+        for limb in robot.limbs:
+            placements = limb.placements.copy()
+            for i, place in enumerate((*(joint.name for joint in limb.joints), TIP)):
+                if np.abs(by_place[place] - np.eye(4)).max() > _UNMOVED:
+                    placements[i] = placements[i] @ by_place[place]
+            placements_of_limbs.append(placements)
+        mounts = {}
+        for mount in robot.mounts:
+            if np.abs(by_place[mount] - np.eye(4)).max() > _UNMOVED:
+                mounts[mount] = robot.urdf.joint(mount).T_parent_joint @ by_place[mount]
+        return robot.with_limbs(placements_of_limbs, mounts)
 
 
 def twist_of(linear: Array, angular: Array) -> Array:

@@ -162,14 +162,17 @@ class JointState:
     joint_names: tuple[str, ...]
     #: Shape (N, m), values of all measured joints, [rad] or [m].
     values: Array
-    #: Names of the n joints of the chain.
+    #: Names of the n joints that are loaded.
     chain: tuple[str, ...] = ()
-    #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
+    #: shape (N, n, n + 3) or more, see `calib.robot.gravity.gravity_loads`; None if not known.
     loads: Array | None = None
-    #: Name of the point of the chain that carries a mass: a joint, for its origin, or one of `ENDS`.
+    #: Name of the point of the chain that carries a mass: a joint, for its origin, one of `ENDS`, or a branch's link.
     point: str = ""
     #: Shape (N, m), last move of each measured joint, [rad] or [m], 0 where not known; None: known nowhere.
     moves: Array | None = None
+    #: Names of the points whose lever arms ``loads`` holds, see `calib.robot.gravity.load_points`; empty: the joints of
+    #: ``chain`` and `ENDS`.
+    points: tuple[str, ...] = ()
 
     @property
     def last_move(self) -> Array:
@@ -191,7 +194,7 @@ class JointState:
     @property
     def lever(self) -> Array:
         """The lever arm about the joint of a mass at the point, shape (N,), [m]; ModelError if loads are not known."""
-        points = (*self.chain, *ENDS)
+        points = self.points or (*self.chain, *ENDS)
         return self._loads[:, 1 + points.index(self.point)]
 
     @property

@@ -44,7 +44,7 @@ def joint_parameters(robot: Robot, family: str, gravity: ArrayLike = GRAVITY) ->
         ModelError: There is no such family.
     """
     row = family_of(family)
-    joints = robot.joints if row.every_joint else robot.inputs
+    joints = robot.all_joints if row.every_joint else robot.inputs
     points: dict[str, list[str]] = {}
     if any(factor.later for factor in row.factors):
         acceleration = np.asarray(gravity, dtype=np.float64)
@@ -77,9 +77,9 @@ def _distinct_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list
     """
     q = spread_poses(robot, _LEVER_POSES)
     levers = gravity_loads(robot, q, None, gravity)[:, :, 1:]
-    names = (*(joint.name for joint in robot.joints), *ENDS)
+    names = load_points(robot)
     points: dict[str, list[str]] = {}
-    for i, joint in enumerate(robot.joints):
+    for i, joint in enumerate(robot.all_joints):
         distinct = [np.zeros(len(levers))]
         points[joint.name] = []
         for name, lever in zip(names, levers[:, i].T, strict=True):
@@ -87,6 +87,19 @@ def _distinct_points(robot: Robot, gravity: tuple[float, ...]) -> dict[str, list
                 distinct.append(lever)
                 points[joint.name].append(name)
     return points
+
+
+def load_points(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the points whose lever arms `calib.robot.gravity.gravity_loads` gives, in its order.
+
+    Args:
+        robot: The robot, n joints in its chains.
+
+    Returns:
+        The n joints, for their origins, `ENDS`, and the links at the ends of the robot's branches.
+    """
+    joints = [joint.name for joint in robot.all_joints]
+    return (*joints, *ENDS, *robot.ends[len(ENDS) :])
 
 
 def axis_twists(robot: Robot) -> Array:
@@ -108,16 +121,18 @@ def joint_displacements(
     q: Array,
     load: Array | None,
     moves: Array | None = None,
+    loaded: Robot | None = None,
 ) -> Array:
     """Return how far a unit of each term moves each joint of the chain.
 
     Args:
         robot: The nominal robot, n joints in its chain.
-        terms: Terms of an error model that have a ``factor``.
+        terms: Terms of an error model that have a ``factor``; those of joints beside the chain move nothing.
         q: Shape (N, m), readings of the measured joints, [rad] or [m].
-        load: Shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
+        load: Loads of ``loaded``, see `calib.robot.gravity.gravity_loads`; None if not known.
         moves: Shape (N, m), last move of each measured joint's reading, [rad] or [m], 0 where it is not known; None:
             known nowhere.
+        loaded: The robot of which ``robot`` is a chain, to whose joints the loads belong; None: ``robot`` itself.
 
     Returns:
         Shape (N, n, len(terms)), [rad or m] per unit of the term.
@@ -125,21 +140,25 @@ def joint_displacements(
     Raises:
         ModelError: A term needs the loads, and they are not known.
     """
-    chain = tuple(joint.name for joint in robot.joints)
+    chain = [joint.name for joint in robot.joints]
+    whole = loaded or robot
+    loaded_joints = tuple(joint.name for joint in whole.all_joints)
+    points = load_points(whole)
     values = robot.input_values(q)
     moves_of_values = None if moves is None else values - robot.input_values(q - moves)
     moved = np.zeros((len(q), len(chain), len(terms)))
     for k, term in enumerate(terms):
         assert term.factor is not None
         if family_of(term.family).every_joint:
-            driven: Array = np.eye(len(chain))[chain.index(term.place)]
+            driven = np.array([float(name == term.place) for name in chain])
         else:
             driven = robot.mimic_matrix[:, robot.joint_names.index(term.place)]
         state = JointState(
             joint=term.place,
             joint_names=robot.joint_names,
             values=values,
-            chain=chain,
+            chain=loaded_joints,
+            points=points,
             loads=load,
             point=term.factor.point,
             moves=moves_of_values if term.factor.moved else None,

@@ -8,7 +8,7 @@ joints' own errors dq of `joint_displacements`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.values import Value
 from calib.model.error_model import ErrorModel
+from calib.model.error_on_chain import model_on_chain
 from calib.model.internals import InternalValues, changed_internals
 from calib.model.joint_errors import joint_displacements
 from calib.robot import kernel
@@ -33,13 +34,15 @@ class Samples(Value):
     frame: Integers
     #: Shape (N,), index of the target, from 0.
     target: Integers
-    #: shape (N, n, n + 3), see `calib.robot.gravity.gravity_loads`; None if not known.
+    #: shape (N, n, n + 3) or more, see `calib.robot.gravity.gravity_loads`; None if not known.
     load: Array | None = None
     #: Shape (N, c), internals of the instruments before the fit, see `calib.model.internals`; None if they have none.
     internals: Array | None = None
     #: Shape (N, m), last move of each measured joint before the sample, [rad] or [m], see `calib.numerics.moves`; 0
     #: where it is not known; None: known nowhere.
     moves: Array | None = None
+    #: Shape (N,), index of the chain between frame and target in `Robot.chains`, from 0; None: the first.
+    chain: Integers | None = None
 
     @classmethod
     def at(cls, q: ArrayLike, load: Array | None = None, moves: Array | None = None) -> Samples:
@@ -58,13 +61,20 @@ class Samples(Value):
         """The number N of samples."""
         return len(self.q)
 
+    def rows_of_chain(self, number: int) -> Integers:
+        """Return the indices of the samples of one chain of a robot, by its number in `Robot.chains`, from 0."""
+        if self.chain is None:
+            return np.arange(len(self) if number == 0 else 0)
+        return np.flatnonzero(self.chain == number)
+
     def select(self, chosen: Mask | Integers | slice) -> Samples:
         """Return some of the N samples: a mask, shape (N,), their indices, or a slice."""
         load = None if self.load is None else self.load[chosen]
         internals = None if self.internals is None else self.internals[chosen]
         moves = None if self.moves is None else self.moves[chosen]
+        chain = None if self.chain is None else self.chain[chosen]
         return Samples(
-            self.q[chosen], self.frame[chosen], self.target[chosen], load, internals, moves
+            self.q[chosen], self.frame[chosen], self.target[chosen], load, internals, moves, chain
         )
 
 
@@ -100,12 +110,18 @@ class Kinematics(Value):
     T_frame_base: Array
     #: Shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
     T_tip_target: Array
+    #: The chains of the robot, each with the error model on it.
+    _chains: tuple[tuple[Robot, ErrorModel], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Make one frame and one target stacks of one."""
+        """Make one frame and one target stacks of one, and carry the errors over to each chain."""
         for name in ("T_frame_base", "T_tip_target"):
             stack = np.reshape(getattr(self, name), (-1, 4, 4))
             object.__setattr__(self, name, read_only(stack))
+        chains = [
+            (chain, model_on_chain(self.model, self.robot, chain)) for chain in self.robot.chains
+        ]
+        object.__setattr__(self, "_chains", tuple(chains))
 
     def poses(self, x: Array, samples: SamplesOrValues) -> Array:
         """Return T_frame_target, the pose of each sample's target in its measurement frame.
@@ -117,8 +133,15 @@ class Kinematics(Value):
         Returns:
             Shape (N, 4, 4), [m].
         """
-        geometry, _ = self._displaced(x)
-        return kernel.poses(geometry, self._chain_samples(x, samples))
+        if not isinstance(samples, Samples):
+            samples = Samples.at(samples)
+        if len(self._chains) == 1:
+            return self._poses_on(self._chains[0], x, samples)
+        poses = np.empty((len(samples), 4, 4))
+        for number, chain in enumerate(self._chains):
+            rows = samples.rows_of_chain(number)
+            poses[rows] = self._poses_on(chain, x, samples.select(rows))
+        return poses
 
     def points(self, x: Array, samples: SamplesOrValues) -> Array:
         """Return the target's position in the measurement frame.
@@ -150,9 +173,18 @@ class Kinematics(Value):
             T_frame_target, shape (N, 4, 4), [m]; and the Jacobian, shape (N, 6, p), linear [m] then angular [rad]
             velocity along the frame's axes, or (N, 3, p) without ``rotation``.
         """
-        geometry, directions = self._displaced(x)
-        chain_samples = self._chain_samples(x, samples)
-        return kernel.twists(geometry, directions, chain_samples, rotation=rotation)
+        if not isinstance(samples, Samples):
+            samples = Samples.at(samples)
+        if len(self._chains) == 1:
+            return self._twists_on(self._chains[0], x, samples, rotation=rotation)
+        poses = np.empty((len(samples), 4, 4))
+        # Samples come last in memory, as the kernel has them.
+        twists = np.empty((len(x), 6 if rotation else 3, len(samples))).transpose(2, 1, 0)
+        for number, chain in enumerate(self._chains):
+            rows = samples.rows_of_chain(number)
+            chosen = samples.select(rows)
+            poses[rows], twists[rows] = self._twists_on(chain, x, chosen, rotation=rotation)
+        return poses, twists
 
     def internals(self, x: Array, samples: Samples) -> InternalValues | None:
         """Return the internals of the instruments at x; None if those of the samples have none.
@@ -184,14 +216,30 @@ class Kinematics(Value):
         poses, twists = self.twists(x, samples, rotation=rotation)
         return Sightings(poses, twists, self.internals(x, samples))
 
-    def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
+    def _poses_on(self, chain: tuple[Robot, ErrorModel], x: Array, samples: Samples) -> Array:
+        """Return T_frame_target, (N, 4, 4) [m], of samples of one chain at x, (p,)."""
+        geometry, _ = self._displaced(chain, x)
+        return kernel.poses(geometry, self._chain_samples(chain, x, samples))
+
+    def _twists_on(
+        self, chain: tuple[Robot, ErrorModel], x: Array, samples: Samples, *, rotation: bool
+    ) -> tuple[Array, Array]:
+        """Return what `twists` returns, for samples of one chain."""
+        geometry, directions = self._displaced(chain, x)
+        chain_samples = self._chain_samples(chain, x, samples)
+        return kernel.twists(geometry, directions, chain_samples, rotation=rotation)
+
+    def _displaced(
+        self, chain: tuple[Robot, ErrorModel], x: Array
+    ) -> tuple[kernel.Geometry, kernel.Directions]:
         """Return frames, placements and targets displaced by x, (p,), and the twists there of each parameter's unit."""
-        displacements, twists = self.model.displacements(x)
+        robot, model = chain
+        displacements, twists = model.displacements(x)
         twists = twists.reshape(len(displacements), 6, -1)
         first = len(self.T_frame_base)
-        last = first + len(self.robot.placements)
-        geometry = self.robot.geometry(
-            placements=self.robot.placements @ displacements[first:last],
+        last = first + len(robot.placements)
+        geometry = robot.geometry(
+            placements=robot.placements @ displacements[first:last],
             T_frame_base=self.T_frame_base @ displacements[:first],
             T_tip_target=self.T_tip_target @ displacements[last:],
         )
@@ -200,22 +248,25 @@ class Kinematics(Value):
         )
         return geometry, directions
 
-    def _chain_samples(self, x: Array, samples: SamplesOrValues) -> kernel.ChainSamples:
+    def _chain_samples(
+        self, chain: tuple[Robot, ErrorModel], x: Array, samples: Samples
+    ) -> kernel.ChainSamples:
         """Return the chain's n joint values, (N, n), with the joints' own errors at x, (p,), and their derivative by x.
 
         ModelError if an error needs the loads on the joints, and the samples have none.
         """
-        if not isinstance(samples, Samples):
-            samples = Samples.at(samples)
-        values = self.robot.chain_values(samples.q)
-        joint_terms = list(self.model.joint_terms)
-        mixing = self.model.mixing[joint_terms]
+        robot, model = chain
+        values = robot.chain_values(samples.q)
+        joint_terms = list(model.joint_terms)
+        mixing = model.mixing[joint_terms]
         columns = np.flatnonzero(mixing.any(axis=0))
         moved = np.zeros((*values.shape, len(columns)))
         if len(columns):
-            terms = [self.model.terms[t] for t in joint_terms]
-            moved = joint_displacements(self.robot, terms, samples.q, samples.load, samples.moves)
-            if self.model.terms is not self.model.parameters:  # else each moves its own
+            terms = [model.terms[t] for t in joint_terms]
+            moved = joint_displacements(
+                robot, terms, samples.q, samples.load, samples.moves, loaded=self.robot
+            )
+            if model.terms is not model.parameters:  # else each moves its own
                 moved = moved @ mixing[:, columns]
             values = values + moved @ x[columns]
         return kernel.ChainSamples(

@@ -25,6 +25,7 @@ from calib.errors import ModelError, choices, did_you_mean
 from calib.model.dh_table import dh_table, zero_poses
 from calib.model.error_model import (
     FRAME,
+    MOUNT,
     TARGET,
     TIP,
     ErrorModel,
@@ -51,6 +52,9 @@ OWN = "own"
 
 #: Names that no set may have: ``auto``, the choice by the data, and `OWN`.
 _RESERVED = ("auto", OWN)
+
+#: Sets whose parameters are those of numbered DH rows, of which a robot with branches has none.
+OF_ONE_CHAIN = ("paper", "dh", "hayati")
 
 #: An axis within this angle of a coordinate axis counts as that [rad].
 _ALIGNED = 1e-6
@@ -114,11 +118,23 @@ def error_model(
             "choose --model dh."
         )
     outer = frame_and_target_model(frame, target, targets, rotation=rotation)
-    joints = tuple(joint.name for joint in robot.joints)
+    joints = tuple(joint.name for joint in robot.all_joints)
+    mounts = [
+        Parameter(
+            name=placed_name("mount", direction, part.name),
+            unit=_UNITS[direction],
+            place=part.mount,
+            direction=_TWISTS[direction],
+            family=MOUNT,
+        )
+        for part in robot.parts
+        if part.mount in robot.mounts
+        for direction in DIRECTIONS
+    ]
     model = ErrorModel(
         name=name if isinstance(name, str) else OWN,
-        places=(*outer.places[: len(frame)], *joints, *outer.places[len(frame) :]),
-        parameters=(*robot_parameters, *outer.parameters, *further),
+        places=(*outer.places[: len(frame)], *joints, *robot.mounts, *outer.places[len(frame) :]),
+        parameters=(*robot_parameters, *mounts, *outer.parameters, *further),
     )
     if set_name == "zeros":
         return model.tied(_follower_ties(robot))
@@ -129,7 +145,18 @@ def error_model(
 def _robot_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tuple[Parameter, ...]:
     """Return the parameters of the robot itself by the model's name; folds, candidates and trials ask repeatedly."""
     set_name, families = split_name(name)
-    parameters = list(MODELS[set_name](robot))
+    if robot.branches and set_name in OF_ONE_CHAIN:
+        raise ModelError(
+            f"The parameter set '{set_name}' numbers the DH rows of one chain, but '{robot.name}' has "
+            f"{len(robot.limbs)} limbs, to {choices(limb.tip for limb in robot.limbs)}. Choose --model placement, "
+            "which has all six errors of each joint, or zeros."
+        )
+    # The limbs share what they pass together.
+    by_name: dict[str, Parameter] = {}
+    for limb in robot.limbs:
+        for parameter in MODELS[set_name](limb):
+            by_name.setdefault(parameter.name, parameter)
+    parameters = list(by_name.values())
     for family in families:
         parameters += joint_parameters(robot, family, gravity)
     return tuple(parameters)
@@ -192,11 +219,16 @@ def _follower_ties(robot: Robot) -> dict[str, tuple[str, float]]:
     ratio of the mimic multipliers.
     """
     ties = {}
+    multipliers = {
+        joint: row
+        for limb in robot.limbs
+        for joint, row in zip(limb.joints, limb.mimic_matrix, strict=True)
+    }
     for column, driver in enumerate(robot.joint_names):
         followers: dict[bool, list[tuple[str, float]]] = {False: [], True: []}
-        for joint, multiplier in zip(robot.joints, robot.mimic_matrix[:, column], strict=True):
-            if multiplier:
-                followers[joint.type == "prismatic"].append((joint.name, multiplier))
+        for joint, row in multipliers.items():
+            if row[column]:
+                followers[joint.type == "prismatic"].append((joint.name, float(row[column])))
         for alike in followers.values():
             alike.sort(key=lambda pair: pair[0] != driver)
             for name, multiplier in alike[1:]:

@@ -24,7 +24,9 @@ from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.errors import ModelError
 from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.registration.mounts import with_mounts_found
 from calib.fit.registration.registration import nominal_setup, register_held_out
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.fit.selection.row_weights import compare_weights
@@ -97,6 +99,9 @@ def calibrate(
     if is_flange_robot(arm.joint_names):
         stated, model = _of_flange_poses(stated, model), None
     measured = measured.without_copies()
+    if arm.mounts:
+        rows, setup = rows_and_setup(arm, measured, stated)
+        arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
     fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
     drift = None
     if validate and not fits.mistake:
@@ -235,7 +240,7 @@ def _assemble(
     robot, cell = task.robot, task.cell
 
     # The nominal robot, its frames and targets as given, or registered: to the estimation rows if these see them.
-    T_base_tip = robot.poses(all_rows.joints)
+    T_base_tip = robot.poses(all_rows.joints, all_rows.samples.chain)
     setup = nominal_setup(T_base_tip[m.estimation], task.setup, all_rows.select(m.estimation))
     setup = register_held_out(
         T_base_tip[m.validation],

@@ -248,6 +248,7 @@ class Calibration(Value):
         same id if its numbers are the same to the last digit.
         """
         computed: list[Any] = [self.nominal.urdf.sha256, self.nominal.base, self.nominal.tip]
+        computed += [link for chain in self.nominal.branches for link in (chain.base, chain.tip)]
         computed.append(self.source.sha256)
         for model in (self.geometry, self.non_geometric):
             if model is not None:
@@ -411,11 +412,10 @@ class Calibration(Value):
         else:
             known_moves = finite_numbers("moves", moves, values.shape, "one number for each of q")
         samples = Samples.at(values, load, known_moves)
-        return replace(
-            samples,
-            frame=_repeated_index("station", group, self.setup.groups, len(values)),
-            target=_repeated_index("target", target, self.setup.targets, len(values)),
-        )
+        frame = _repeated_index("station", group, self.setup.groups, len(values))
+        target_index = _repeated_index("target", target, self.setup.targets, len(values))
+        chain = self.setup.chains(self.nominal, frame, target_index)
+        return replace(samples, frame=frame, target=target_index, chain=chain)
 
     def predict_poses(
         self,
@@ -614,13 +614,13 @@ class Calibration(Value):
         nominal = _with_origins_of(self.nominal, robot)
         if nominal.urdf.run != self.run:
             return nominal
-        return replace(nominal, urdf=nominal.urdf.with_comments(run="", verdict=""))
+        return nominal.with_urdf(nominal.urdf.with_comments(run="", verdict=""))
 
     def _described(self, robot: Robot) -> Robot:
         """Return a robot whose URDF states this run and, if it is ``do not use``, the verdict, as comments."""
         verdict_against = shown_by("show.verdict_text").do_not_use_text(self.verdict)
         urdf = robot.urdf.with_comments(run=self.run, verdict=verdict_against)
-        return replace(robot, urdf=urdf)
+        return robot.with_urdf(urdf)
 
 
 def is_corrected(result: Calibration, robot: Robot) -> bool:
@@ -692,7 +692,16 @@ def _with_origins_of(source: Robot, robot: Robot) -> Robot:
     check_type("robot", robot, Robot, "a Robot")
     check_same_coupling(robot, source)
     urdf = robot.urdf.with_origins(source.origins())
-    return robot.rebuilt(urdf, source.base, source.tip)
+    ends = [(branch.base, branch.tip) for branch in source.branches]
+    return Robot.from_urdf(
+        urdf,
+        source.base,
+        source.tip,
+        held=robot.held,
+        coupling=robot.reading_coupling,
+        branches=ends,
+        parts=source.parts,
+    )
 
 
 def _repeated_index(

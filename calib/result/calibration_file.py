@@ -57,6 +57,7 @@ from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.parts import Method, ResultRows, Source
 from calib.result.result_optics import ResultOptics
 from calib.robot.coupled_readings import coupling_of_table, coupling_table
+from calib.robot.joined_urdf import Part
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.version import __version__
@@ -356,6 +357,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
             "joints": robot.joint_names,
         },
         "robot.held": [{"joint": name, "value": value} for name, value in robot.held.items()],
+        "robot.branches": [{"base": chain.base, "tip": chain.tip} for chain in robot.branches],
         "robot.coupling": coupling_table(robot.reading_coupling),
         "robot.origins": _origins_table(c.robot),
         "robot.nominal_origins": _origins_table(robot),
@@ -367,6 +369,15 @@ def result_table(c: Calibration) -> dict[str, Any]:
         "solver.iterations": c.method.solution.iterations,
         "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
         "inputs.urdf.text": urdf.data.decode("utf-8", "surrogateescape"),
+        "inputs.robots": [
+            {
+                "name": part.name,
+                "source": part.urdf.source,
+                "estimated": part.estimated,
+                "text": part.urdf.data.decode("utf-8", "surrogateescape"),
+            }
+            for part in robot.parts
+        ],
         "inputs.measurements.rows": len(c.rows),
         "versions": versions(),
     }
@@ -510,11 +521,23 @@ def _calibration(table: Json, folder: Path) -> Calibration:
     """
     # The nominal robot, with its base, tip, held joint values and coupled readings.
     robot, stored = table["robot"], table["inputs"]["urdf"]
-    data = stored["text"].encode("utf-8", "surrogateescape")
-    urdf = Urdf.from_bytes(data, stored["name"], folder / stored["name"])
+    urdf = _urdf_of(stored["text"], stored["name"], folder)
     held = {row["joint"]: float(row["value"]) for row in robot["held"]}
     coupling = coupling_of_table(robot.get("coupling", ()))  # files of earlier versions have none
-    nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held, coupling=coupling)
+    branches = [(row["base"], row["tip"]) for row in robot.get("branches", ())]
+    robots = tuple(
+        Part(row["name"], _urdf_of(row["text"], row["source"], folder), row["estimated"])
+        for row in table["inputs"].get("robots", ())
+    )
+    nominal = Robot.from_urdf(
+        urdf,
+        robot["base"],
+        robot["tip"],
+        held=held,
+        coupling=coupling,
+        branches=branches,
+        parts=robots,
+    )
 
     geometry = FittedModel(**_model_values(FittedModel, table, nominal))
     non_geometric = None
@@ -533,6 +556,11 @@ def _calibration(table: Json, folder: Path) -> Calibration:
         non_geometric=non_geometric,
         **parts,
     )
+
+
+def _urdf_of(text: str, name: str, folder: Path) -> Urdf:
+    """Return a URDF from its text in a result; its meshes are looked for beside a file of its name in a folder."""
+    return Urdf.from_bytes(text.encode("utf-8", "surrogateescape"), name, folder / name)
 
 
 def result_of(given: ResultInput, argument: str = "calibration") -> Calibration:

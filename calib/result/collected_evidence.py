@@ -16,11 +16,13 @@ from calib.diagnosis.judge_setup import judge_setup
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
-from calib.model.error_model import FRAME, TARGET
+from calib.model.error_model import FRAME, MOUNT, TARGET
+from calib.model.error_on_chain import model_on_chain
 from calib.numerics.errors import Errors
 from calib.numerics.moves import common_side
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibration import Calibration
+from calib.result.chains import ChainResult, evidence_of_chain, result_of_chain, verdict_with_chains
 from calib.result.doubts import find_doubts, negative_compliances, noise_doubts
 from calib.result.fitted_model import FittedModel
 from calib.robot.ranges import spread_poses
@@ -61,8 +63,35 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
     every_note = (*notes, *without_explained(_notes(result), doubts))
     evidence = replace(evidence, notes=every_note, non_geometric=usable)
-    verdict = _judge_setup(result, evidence) if result.is_setup_only else judge(evidence)
-    return replace(result, geometry=replace(geometry, verdict=verdict))
+    chains = tuple(_chains(result, evidence, rows))
+    verdict = (
+        _judge_setup(result, evidence)
+        if result.is_setup_only
+        else verdict_with_chains(judge(evidence), chains)
+    )
+    trust = replace(result.trust, chains=chains)
+    return replace(result, geometry=replace(geometry, verdict=verdict), trust=trust)
+
+
+def _chains(result: Calibration, evidence: Evidence, rows: Rows) -> Iterator[ChainResult]:
+    """Yield what the geometry is worth for each chain of a robot that has several.
+
+    ``evidence`` is that of all ``rows`` that were fitted.
+    """
+    robot, geometry = result.nominal, result.geometry
+    if not robot.branches:
+        return
+    samples = rows.samples
+    for number, chain in enumerate(robot.chains):
+        first = samples.rows_of_chain(number)[:1]
+        if not len(first):  # validation rows alone see it
+            continue
+        seen = (int(samples.frame[first[0]]), int(samples.target[first[0]]))
+        expected = _expected_over_limits(result, geometry, *seen)
+        on_chain = model_on_chain(geometry.model, robot, chain)
+        moves = geometry.model.of_robot & np.any(on_chain.mixing != 0.0, axis=0)
+        of_chain = evidence_of_chain(evidence, rows, number, moves, geometry.x, expected)
+        yield result_of_chain(chain.base, chain.tip, of_chain)
 
 
 def _judge_setup(result: Calibration, evidence: Evidence) -> Verdict:
@@ -71,7 +100,7 @@ def _judge_setup(result: Calibration, evidence: Evidence) -> Verdict:
     The uncertainty is the largest half-width of a 95 % interval, of a length [m] and of an angle [rad].
     """
     model = result.geometry.model
-    of_setup = model.family(FRAME, TARGET)
+    of_setup = model.family(FRAME, TARGET, MOUNT)
     open_ones = of_setup & ~result.trust.observability.identifiable
     located = {}
     for unit in ("m", "rad"):
@@ -183,8 +212,12 @@ def _noise_floor(result: Calibration, fitted: Fitted, doubts: tuple[Reason, ...]
     return np.asarray(by_channel[problem.rows.channels.index])
 
 
-def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[float, float, float]:
+def _expected_over_limits(
+    result: Calibration, model: FittedModel, frame: int = 0, target: int = 0
+) -> tuple[float, float, float]:
     """Return expected errors over the joint limits, rms [m]: of a model, of the nominal robot, and the scale's part.
+
+    They are those of one target seen from one frame, by their indices in the setup.
 
     The squares, mean over 200 joint values, are
 
@@ -199,10 +232,14 @@ def _expected_over_limits(result: Calibration, model: FittedModel) -> tuple[floa
 
     If the frame was estimated, or no row determines where the base stands, rigid motions of all positions do not count.
     """
-    samples = result.samples(spread_poses(result.nominal))
+    samples = result.samples(
+        spread_poses(result.nominal),
+        group=result.setup.groups[frame],
+        target=result.setup.targets[target],
+    )
     # T_frame_target, (N, 4, 4), and the derivatives of its position by the p parameters, (N, 3, p).
     poses, J = model.kinematics.twists(model.x, samples, rotation=False)
-    T_base_tip = result.nominal.poses(samples.q)
+    T_base_tip = result.nominal.poses(samples.q, samples.chain)
     nominal_points = result.nominal_setup.target_poses(T_base_tip, samples)[:, :3, 3]
     points = poses[:, :3, 3]
     away = (nominal_points - points)[:, :, None]

@@ -23,6 +23,7 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
+from calib.result.chains import ChainResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +216,8 @@ class Trust(Value):
     observability: Observability
     #: The fit with weights lowered beside the one with every row in full; None without outliers, or by ``"paper"``
     robustness: Robustness | None
+    #: What the geometry is worth for each chain of a robot that has several; empty for one chain
+    chains: tuple[ChainResult, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

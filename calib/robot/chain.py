@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -54,6 +55,15 @@ class OriginFactors(Value):
         return factor
 
 
+class OnPath(NamedTuple):
+    """Where the ``<origin>`` of a URDF joint stands in a chain, whether it carries a placement or not."""
+
+    #: Index of the placement that it is a factor of, from 0.
+    placement: int
+    #: That placement by this ``<origin>``.
+    factors: OriginFactors
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SerialChain:
     """The path between two links as a serial chain of n moving joints; see `calib.robot.robot.Robot`."""
@@ -68,6 +78,8 @@ class SerialChain:
     T_root_base: Array
     #: The n + 1 placements as products of an ``<origin>`` and constants.
     factors: tuple[OriginFactors, ...]
+    #: The URDF joints between base and tip, fixed ones too, by name: see `OnPath`.
+    path: Mapping[str, OnPath]
     #: True if joints lie on the base's side of the link where the branches part.
     base_moves: bool
 
@@ -85,6 +97,7 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
             Pinocchio reads the URDF differently from what is written.
     """
     path = _path(urdf, base, tip)
+    between = {step.joint.name for step in path}
     moving = [step for step in path if step.joint.type != "fixed"]
     wrong = [step.joint for step in moving if step.joint.type not in MOVING]
     if wrong or not moving:
@@ -117,26 +130,30 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
 
     carriers: list[str | None] = []
     factors = []
+    on_path = {}
     for k, group in enumerate(groups):
+        for i, step in enumerate(group):
+            if step.joint.name in between:
+                by_step = OriginFactors(_product(group[:i]), _product(group[i + 1 :]), step.up)
+                on_path[step.joint.name] = OnPath(k, by_step)
         # A moving joint's own origin carries the placement; at the chain's ends that of the fixed joint next to the
         # moving one, so that everything mounted on it moves along.
         carried_by_last = k == 0 or (k < len(moving) and not moving[k].up)
-        before = group[:-1] if carried_by_last else []
-        after = [] if carried_by_last else group[1:]
         carrier = None
-        is_inverted = False
+        by_carrier = OriginFactors(np.eye(4), np.eye(4), inverted=False)
         if group:
-            step = group[-1] if carried_by_last else group[0]
-            carrier = step.joint.name
-            is_inverted = step.up
+            i = len(group) - 1 if carried_by_last else 0
+            carrier = group[i].joint.name
+            by_carrier = OriginFactors(_product(group[:i]), _product(group[i + 1 :]), group[i].up)
         carriers.append(carrier)
-        factors.append(OriginFactors(_product(before), _product(after), is_inverted))
+        factors.append(by_carrier)
     return SerialChain(
         joints=tuple(step.path_joint for step in moving),
         placements=read_only([_product(group) for group in groups]),
         carriers=tuple(carriers),
         T_root_base=read_only(T_root_base),
         factors=tuple(factors),
+        path=on_path,
         base_moves=moving[0].up,
     )
 

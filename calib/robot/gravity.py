@@ -82,21 +82,21 @@ def gravity_loads(
     payload: Payload | None = None,
     gravity: ArrayLike = GRAVITY,
 ) -> Array:
-    """Return the load of gravity on each joint of the chain, and the lever arms of masses along the chain about it.
+    """Return the load of gravity on each joint of the chains, and the lever arms of masses along them about it.
 
     The masses are those of all links of the URDF, also beside the chain, with their joints at `Robot.urdf_values`; a
     link without a mass is massless. A lever arm is the load of a mass over its weight.
 
     Args:
-        robot: The robot, n joints in its chain.
+        robot: The robot, n joints in its chains (`Robot.all_joints`).
         q: Shape (N, m) or (m,), [rad] or [m], in the order of ``robot.joint_names``.
         payload: Mass at the tip besides those of the URDF; None for none.
         gravity: Shape (3,), acceleration in the URDF's root link [m/s^2], which stands still.
 
     Returns:
         Shape (N, n, n + 3). For each joint first its load, [Nm], or [N] if it slides; then the lever arms, [m], or 1 if
-        it slides, of masses at the origins of the n joints, at the tip, and at a base that joints move. All are
-        positive if gravity drives the joint towards larger values.
+        it slides, of masses at the origins of the n joints, at the tip, and at a base that joints move, and then at
+        each further link of `Robot.ends`. All are positive if gravity drives the joint towards larger values.
 
     Raises:
         ModelError: The values do not fit the chain, or gravity is not three finite numbers.
@@ -113,7 +113,7 @@ def gravity_loads(
         mass = pin.Inertia(float(payload.mass), np.array(payload.com), np.zeros((3, 3)))
         model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
     data = model.createData()
-    columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.joints]
+    columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.all_joints]
 
     def work(block: slice) -> Array:
         """Return what `gravity_loads` returns, for a block of B samples: (B, n, n + 3)."""
@@ -132,20 +132,21 @@ def gravity_loads(
 
 
 def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], down: Array) -> Array:
-    """Return how much deeper a unit of each joint moves each point, shape (N, n, n + 2), [m] per rad or m.
+    """Return how much deeper a unit of each joint moves each point, shape (N, n, points), [m] per rad or m.
 
     A turning joint at o with the axis a moves a point p by a x (p - o), which is (p - o) . (down x a) deeper; a sliding
-    one by a, which is a . down deeper. The points are the origins of the n joints, the tip and the base; ``values`` are
-    those of N samples as of `Robot.urdf_values`, and ``down`` is a unit vector in the URDF's root, or zeros.
+    one by a, which is a . down deeper. The points are the origins of the n joints and the ends of chains; ``values``
+    are those of N samples as of `Robot.urdf_values`, and ``down`` is a unit vector in the URDF's root, or zeros.
     """
-    joints = [model.getJointId(joint.name) for joint in robot.joints]
-    ends = [model.frames[link_frame(model, link)] for link in (robot.tip, robot.base)]
+    chain = robot.all_joints
+    joints = [model.getJointId(joint.name) for joint in chain]
+    ends = [model.frames[link_frame(model, link)] for link in robot.ends]
     carriers = [*joints, *(end.parentJoint for end in ends)]
     frames = joint_frames(model, robot.urdf, values, carriers)
 
     T_root_joint = np.stack([frames[number] for number in joints], axis=1)
-    # As the URDF has them: those of ``robot.joints`` may be turned round.
-    axes_in_joints = np.array([robot.urdf.joint(joint.name).axis for joint in robot.joints])
+    # As the URDF has them: those of the chain may be turned round.
+    axes_in_joints = np.array([robot.urdf.joint(joint.name).axis for joint in chain])
     axes = np.asarray((T_root_joint[:, :, :3, :3] @ axes_in_joints[:, :, None])[..., 0])
     origins = T_root_joint[:, :, :3, 3]
     end_origins = []
@@ -157,7 +158,7 @@ def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], dow
     slopes = np.cross(down, axes)
     slopes_at_origins = np.sum(slopes * origins, axis=2)
     depths: Array = slopes @ points.swapaxes(1, 2) - slopes_at_origins[:, :, None]
-    slides = np.array([joint.type == "prismatic" for joint in robot.joints])
+    slides = np.array([joint.type == "prismatic" for joint in chain])
     depths_of_sliding = axes[:, slides] @ down
     depths[:, slides] = depths_of_sliding[:, :, None]
 

@@ -29,7 +29,8 @@ def check_written(robot: Robot, expected: Array, q: Array, given: Robot) -> None
 
     Args:
         robot: The robot with the URDF that is to be written.
-        expected: Shape (N, 4, 4), [m], T_base_tip by the model in memory.
+        expected: Shape (N, 4, 4), [m], T_base_tip by the model in memory; of several chains one after the other, all
+            poses of the first one first.
         q: Shape (N, m), the joint readings of these poses, [rad] or [m], in the order of ``robot.joint_names``.
         given: The robot with the URDF that it was made from, between the same links.
 
@@ -38,7 +39,19 @@ def check_written(robot: Robot, expected: Array, q: Array, given: Robot) -> None
             was given as the model does.
     """
     read_again = robot.rebuilt(Urdf.from_bytes(robot.urdf.data, "the corrected URDF"))
-    check_close("Pinocchio", robot.tip, read_again.poses(q), expected)
+    expected_of_chains = expected.reshape(-1, len(q), 4, 4)
+    for again, chain, nominal, poses in zip(
+        read_again.chains, robot.chains, given.chains, expected_of_chains, strict=True
+    ):
+        check_close("Pinocchio", chain.tip, again.poses(q), poses)
+        _check_with_yourdfpy(chain, poses, q, nominal)
+
+
+def _check_with_yourdfpy(robot: Robot, expected: Array, q: Array, given: Robot) -> None:
+    """Raise `UrdfError` if yourdfpy reads a corrected chain otherwise, though it reads the given one as the model does.
+
+    ``expected`` are T_base_tip by the model in memory at readings q (N, m), (N, 4, 4) [m].
+    """
     # If it refuses the given file too, the part that states joints and masses counts.
     texts: tuple[Callable[[Urdf], str | bytes], ...] = (lambda urdf: urdf.data, kinematic_text)
     for text_of in texts:

@@ -10,6 +10,10 @@ on both sides of the link where the branches to base and tip part, and may be mo
 others or are held (`calib.robot.chain`). q are joint readings, which may be coupled (`calib.robot.coupled_readings`):
 
     q_chain = A theta + b,    theta = C q
+
+A robot with several tips or instruments on its links has *branches*: further chains of the same URDF, which have the
+same columns of q. What is measured is predicted by the chain from its frame's link to its target's (`Robot.chains`);
+what is corrected are the placements of its *limbs*, one chain to each of these links from the link where they part.
 """
 
 from __future__ import annotations
@@ -18,16 +22,18 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.basics.arguments import check_mapping, check_names, check_type, finite_numbers, numbers
-from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
+from calib.basics.arrays import Array, Integers, Mask, read_only, rigid_inverse
 from calib.basics.values import Value, one_line
 from calib.errors import ModelError, UrdfError, choices
 from calib.robot import kernel
 from calib.robot.chain import (
+    OnPath,
     OriginFactors,
     all_values,
     chain_between,
@@ -37,6 +43,7 @@ from calib.robot.chain import (
 from calib.robot.coupled_readings import ReadingCoupling, checked_coupling, reading_matrix
 from calib.robot.default_tip import farthest_link
 from calib.robot.dh_rows import STANDARD, DHRobot, DHRow, DHTable
+from calib.robot.joined_urdf import Part
 from calib.robot.urdf import Urdf, read_urdf, urdf_of_dh
 from calib.robot.urdf_tree import UrdfJoint
 
@@ -82,6 +89,12 @@ class Robot(Value):
     _offset: Array = field(compare=False)
     #: C of theta = C q, shape (m, m): the values of the columns' joints by their readings; identity: not coupled.
     reading_matrix: Array = field(compare=False)
+    #: The URDF joints between base and tip by name, and where each stands in the chain.
+    path: Mapping[str, OnPath] = field(compare=False)
+    #: Further chains of the URDF, without branches of their own; they have the same columns of q.
+    branches: tuple[Robot, ...] = ()
+    #: The robots that the URDF was joined from, see `calib.robot.joined_urdf`; empty if it is of one robot.
+    parts: tuple[Part, ...] = ()
 
     @classmethod
     def load(
@@ -133,6 +146,8 @@ class Robot(Value):
         measured: Collection[str] | None = None,
         held: Mapping[str, float] | None = None,
         coupling: Mapping[str, Mapping[str, float]] | None = None,
+        branches: Sequence[tuple[str, str]] = (),
+        parts: tuple[Part, ...] = (),
     ) -> Robot:
         """Return the chain from ``base`` to ``tip`` of a URDF that has been read.
 
@@ -144,6 +159,8 @@ class Robot(Value):
             held: Values [rad or m] of joints that stay where they are, by name; see `load`.
             coupling: Factors by name of readings that are added to those of each coupled joint; see `load`. None or
                 empty: those of the DH rows that the URDF was made from, if it was.
+            branches: Base and tip of further chains, whose joints have columns of q too.
+            parts: The robots that the URDF was joined from; empty for one robot.
 
         Raises:
             ArgumentError: An argument has a wrong type.
@@ -173,26 +190,46 @@ class Robot(Value):
             base = urdf.root
         if tip is None:
             tip = farthest_link(urdf, base, measured, dict(held_values))
-        chain = chain_between(urdf, base, tip)
-        columns = coupling_of(urdf, chain.joints, dict(held_values))
-        names = [joint.name for joint in columns.inputs]
-        return cls(
-            joints=chain.joints,
-            placements=chain.placements,
-            carriers=chain.carriers,
-            T_root_base=chain.T_root_base,
-            _origin_factors=chain.factors,
-            base_moves=chain.base_moves,
-            urdf=urdf,
-            base=base,
-            tip=tip,
-            _held=held_values,
-            _reading_coupling=couplings,
-            inputs=columns.inputs,
-            mimic_matrix=columns.matrix,
-            _offset=columns.offset,
-            reading_matrix=reading_matrix(urdf, names, couplings),
-        )
+        # The columns of q are the joints of all chains, those of the first one first.
+        ends = list(dict.fromkeys([(base, tip), *branches]))
+        moving = []
+        inputs: dict[str, UrdfJoint] = {}
+        for ends_of_chain in ends:
+            chain = chain_between(urdf, *ends_of_chain)
+            columns = coupling_of(urdf, chain.joints, dict(held_values))
+            moving.append((chain, columns))
+            inputs = {**{joint.name: joint for joint in columns.inputs}, **inputs}
+        names = [joint.name for _, columns in moving for joint in columns.inputs]
+        names = list(dict.fromkeys(names))
+
+        robots: list[Robot] = []
+        for (chain_base, chain_tip), (chain, columns) in zip(ends, moving, strict=True):
+            mimic_matrix = np.zeros((len(chain.joints), len(names)))
+            own = [names.index(joint.name) for joint in columns.inputs]
+            mimic_matrix[:, own] = columns.matrix
+            robot = cls(
+                joints=chain.joints,
+                placements=chain.placements,
+                carriers=chain.carriers,
+                T_root_base=chain.T_root_base,
+                _origin_factors=chain.factors,
+                base_moves=chain.base_moves,
+                urdf=urdf,
+                base=chain_base,
+                tip=chain_tip,
+                _held=held_values,
+                _reading_coupling=couplings,
+                inputs=tuple(inputs[name] for name in names),
+                mimic_matrix=read_only(mimic_matrix),
+                _offset=columns.offset,
+                reading_matrix=reading_matrix(urdf, names, couplings),
+                path=chain.path,
+                parts=parts,
+            )
+            robots.append(robot)
+        if len(robots) == 1:
+            return robots[0]
+        return replace(robots[0], branches=tuple(robots[1:]))
 
     @classmethod
     def from_dh(
@@ -267,23 +304,86 @@ class Robot(Value):
         Args:
             urdf: The URDF to read; None for this robot's.
             base: Link in whose frame the poses are given; None for this robot's.
-            tip: Link that the chain ends at; None for this robot's.
+            tip: Link that the chain ends at; None for this robot's. Between other links it has no branches.
 
         Raises:
             UrdfError: No such link or joint, or a chain that calib cannot take.
         """
+        same_links = base is None and tip is None
         return Robot.from_urdf(
             self.urdf if urdf is None else urdf,
             self.base if base is None else base,
             self.tip if tip is None else tip,
             held=self.held,
             coupling=self.reading_coupling,
+            branches=self._branch_ends if same_links else (),
+            parts=self.parts,
         )
 
     def __repr__(self) -> str:
         """Return one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
         chain = f"{self.base} to {self.tip}"
-        return one_line("Robot", f"'{self.name}'", chain, f"{len(self.joints)} joints")
+        count = f"{len(self.all_joints)} joints"
+        if self.branches:
+            chain += f" and {len(self.branches)} more chains"
+        return one_line("Robot", f"'{self.name}'", chain, count)
+
+    @property
+    def chains(self) -> tuple[Robot, ...]:
+        """The chains between links: this one, without its branches, and these."""
+        if not self.branches:
+            return (self,)
+        return (replace(self, branches=()), *self.branches)
+
+    def with_urdf(self, urdf: Urdf) -> Robot:
+        """Return the robot with another URDF that has the same chains, such as one with another comment."""
+        branches = tuple(replace(branch, urdf=urdf) for branch in self.branches)
+        return replace(self, urdf=urdf, branches=branches)
+
+    @property
+    def limbs(self) -> tuple[Robot, ...]:
+        """The chains whose placements are corrected, from the link where all of ``chains`` part; itself if it is one.
+
+        They have the same columns of q. Each ``<origin>`` that several of them pass stands in all of these alike.
+        """
+        return _limbs_of(self) if self.branches else (self,)
+
+    @property
+    def all_joints(self) -> tuple[UrdfJoint, ...]:
+        """The joints of all chains, each once; of several chains as the URDF has them, limb by limb."""
+        if not self.branches:
+            return self.joints
+        joints = {joint.name: joint for limb in self.limbs for joint in limb.joints}
+        return tuple(joints.values())
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """Links at the ends of the chains: the tip, the base, and then those of the branches, each once."""
+        links = [self.tip, self.base]
+        for chain in self.branches:
+            links += [chain.tip, chain.base]
+        return tuple(dict.fromkeys(links))
+
+    @property
+    def mounts(self) -> tuple[str, ...]:
+        """The fixed joints on which further robots stand, if their poses are estimated and a chain leads over them."""
+        passed = {name for chain in self.chains for name in chain.path}
+        return tuple(part.mount for part in self.parts if part.estimated and part.mount in passed)
+
+    def own_urdfs(self) -> dict[str, Urdf]:
+        """Return the URDF of each robot of a cell, corrected as this one is, by its name, ``""`` for the first.
+
+        A robot that is alone has this one's URDF.
+        """
+        if not self.parts:
+            return {"": self.urdf}
+        origins = self.origins()
+        return {part.name: part.with_origins_of(origins) for part in self.parts}
+
+    @property
+    def _branch_ends(self) -> tuple[tuple[str, str], ...]:
+        """Base and tip of each branch."""
+        return tuple((branch.base, branch.tip) for branch in self.branches)
 
     @property
     def name(self) -> str:
@@ -310,15 +410,22 @@ class Robot(Value):
         """For each coupled joint the factors of other joints' readings, by names, without zeros; a new dictionary."""
         return {name: dict(factors) for name, factors in self._reading_coupling}
 
-    def poses(self, q: ArrayLike) -> Array:
+    def poses(self, q: ArrayLike, chain: Integers | None = None) -> Array:
         """Return T_base_tip, the pose of the tip in the base, shape (N, 4, 4), [m].
 
         Args:
             q: Shape (N, m) or (m,), [rad] or [m], columns in the order of ``joint_names``.
+            chain: Shape (N,), index of each row's chain in ``chains``; None: the first.
 
         Raises:
             ModelError: The shape does not fit the chain, or a value is not finite.
         """
+        if chain is not None and self.branches:
+            columns = self.columns(q)
+            poses = np.empty((len(columns), 4, 4))
+            for number, robot in enumerate(self.chains):
+                poses[chain == number] = robot.poses(columns[chain == number])
+            return poses
         values = self.chain_values(q)
         count, n = values.shape
         index = np.zeros(count, dtype=np.int_)  # the one frame and the one target
@@ -473,15 +580,75 @@ class Robot(Value):
         changed = {name: T for name, T in after.items() if (before[name] != T).any()}
         return replace(moved, urdf=self.urdf.with_origins(changed))
 
+    def with_limbs(
+        self, placements: Sequence[Array], mounts: Mapping[str, Array] = MappingProxyType({})
+    ) -> Robot:
+        """Return a new robot whose limbs have other placements, and the ``<origin>`` elements to match.
+
+        Args:
+            placements: Of each of ``limbs``, see `with_placements`; an ``<origin>`` of several is the same in all.
+            mounts: Other poses of further robots in the URDF's root, (4, 4) [m], by the names of ``mounts``.
+
+        Raises:
+            ModelError: As of `with_placements`.
+            UrdfError: As of `with_placements`.
+        """
+        if not self.branches and not mounts:
+            return self.with_placements(placements[0])
+        changed: dict[str, Array] = {}
+        before = self.origins()
+        for limb, of_limb in zip(self.limbs, placements, strict=True):
+            after = limb.with_placements(of_limb).origins()
+            changed |= {name: T for name, T in after.items() if (before[name] != T).any()}
+        return self.rebuilt(self.urdf.with_origins(changed | dict(mounts)))
+
     def origins(self) -> dict[str, Array]:
-        """Return the ``<origin>`` of each URDF joint that carries a placement, by name, shape (4, 4), [m]."""
+        """Return the ``<origin>`` of each URDF joint that carries a placement of a limb, by name, (4, 4) [m]."""
         origins = {}
-        for carrier, factors, P in zip(
-            self.carriers, self._origin_factors, self.placements, strict=True
-        ):
-            if carrier is not None:
-                origins[carrier] = factors.origin(P)
+        for limb in self.limbs:
+            for carrier, factors, P in zip(
+                limb.carriers, limb._origin_factors, limb.placements, strict=True
+            ):
+                if carrier is not None:
+                    origins[carrier] = factors.origin(P)
+        for mount in self.mounts:
+            origins[mount] = np.asarray(self.urdf.joint(mount).T_parent_joint)
         return origins
+
+
+@lru_cache(maxsize=16)
+def _limbs_of(robot: Robot) -> tuple[Robot, ...]:
+    """Return the limbs of a robot with branches, see `Robot.limbs`: one for each link that joints move."""
+    urdf = robot.urdf
+    links = list(dict.fromkeys(link for chain in robot.chains for link in (chain.base, chain.tip)))
+    ways = [urdf.chain(urdf.root, link)[1] for link in links]
+    shared = 0
+    while all(len(way) > shared and way[shared] == ways[0][shared] for way in ways):
+        shared += 1
+    parting = urdf.joint(ways[0][shared - 1]).child if shared else urdf.root
+    ends = []
+    for link, way in zip(links, ways, strict=True):
+        moves = any(urdf.joint(name).type != "fixed" for name in way[shared:])
+        if moves and not any(other[: len(way)] == way and other != way for other in ways):
+            ends.append((parting, link))
+    first = Robot.from_urdf(
+        urdf,
+        *ends[0],
+        held=robot.held,
+        coupling=robot.reading_coupling,
+        branches=ends[1:],
+        parts=robot.parts,
+    )
+    order = [first.joint_names.index(name) for name in robot.joint_names]
+    return tuple(
+        replace(
+            limb,
+            inputs=robot.inputs,
+            mimic_matrix=read_only(limb.mimic_matrix[:, order]),
+            reading_matrix=robot.reading_matrix,
+        )
+        for limb in first.chains
+    )
 
 
 @lru_cache(maxsize=16)

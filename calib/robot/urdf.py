@@ -251,6 +251,35 @@ class Urdf(Value):
         before = close - len(robot_indent)
         return self._patched([(before, before, indented)])
 
+    def joined_with(
+        self, elements: str, joint: str, parent: str, child: str, T_parent_child: Array
+    ) -> Urdf:
+        """Return the URDF with the links and joints of another robot, on a fixed joint, just before ``</robot>``.
+
+        Args:
+            elements: The links and joints, as XML.
+            joint: Name of the fixed joint.
+            parent: Name of the link that the other robot stands on.
+            child: Root link of the other robot.
+            T_parent_child: Shape (4, 4), [m], its pose in the parent.
+
+        Raises:
+            UrdfError: The result is not a URDF that can be calibrated.
+        """
+        document = self._document
+        fixed = b"".join(
+            [
+                b"<joint name=" + document.quoted(joint) + b' type="fixed">',
+                b"<parent link=" + document.quoted(parent) + b"/>",
+                b"<child link=" + document.quoted(child) + b"/>",
+                _origin_tag(T_parent_child),
+                b"</joint>",
+            ]
+        )
+        close = document.root.close
+        added = elements.encode(self.encoding, "xmlcharrefreplace") + fixed
+        return self._patched([(close, close, added)])
+
     def with_comments(self, *, run: str, verdict: str) -> Urdf:
         """Return the URDF with a run and a verdict as comments, each on a line before ``<robot>``, in place of its own.
 

@@ -14,6 +14,7 @@ from calib.robot.robot import Robot
 from calib.show.blocks import Block, Verdict
 from calib.show.lines import number, plural
 from calib.show.tables import Table
+from calib.show.words import ends_text
 
 #: Lines of the sheet that are left for reasons, long entries of the form, the note, and rows of the table.
 _LINES = 16
@@ -63,7 +64,7 @@ class FirstPage(Block):
     def left(self) -> list[Line]:
         """Label and value of each line of the form's left half: customer and robot; an empty value stays blank."""
         robot, record = self.robot, self.record
-        chain = f"{robot.name}, {robot.base} to {robot.tip}, {plural(len(robot.joints), 'joint')}"
+        chain = f"{robot.name}, {ends_text(robot)}, {plural(len(robot.all_joints), 'joint')}"
         return [
             ("Customer", record.customer),
             ("Order", record.order),

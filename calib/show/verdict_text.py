@@ -235,6 +235,10 @@ SENTENCES = {
     "correct this by the order of the rows. To avoid it, wait longer at each pose.",
     Why.ONE_SIDED: "All joints arrived at every pose from one side, {side}. Lost motion, if there is some, is in their "
     "zeros: the robot is as accurate as stated where programs approach poses from this side too.",
+    Why.CHAIN_AGAINST: "The chain from '{base}' to '{tip}' must not be used by itself: its error on held-out rows goes "
+    "{change}, see the table of chains.",
+    Why.CHAIN_CARE: "The chain from '{base}' to '{tip}' needs care by itself: its error on held-out rows goes "
+    "{change}, see the table of chains.",
     Why.SCALE_HIDDEN: "The arm's lengths may contain a scale error of the instrument of about {scale:%.2f} %: "
     "{effect_m:mm.2f} mm rms over the joint limits, {share:%.0f} % of the nominal robot's error. If the "
     "scale is known better, say so: --instrument tracker, or in the cell file sigma_scale_percent or, once a known "

@@ -26,8 +26,17 @@ _MOST_NAMES = 6
 
 
 def chain_name(robot: Robot) -> str:
-    """Return the text that names a robot and its chain: ``'ur3', base to tool0``."""
-    return f"'{robot.name}', {robot.base} to {robot.tip}"
+    """Return the text that names a robot and its chain, or chains: ``'ur3', base to tool0``."""
+    return f"'{robot.name}', {ends_text(robot)}"
+
+
+def ends_text(robot: Robot) -> str:
+    """Return the text that names the links of chains: ``base to tool0``, ``head to left_hand, right_hand``."""
+    tips_by_base: dict[str, list[str]] = {}
+    for chain in robot.chains:
+        tips_by_base.setdefault(chain.base, []).append(chain.tip)
+    parts = [f"{base} to {', '.join(tips)}" for base, tips in tips_by_base.items()]
+    return "; ".join(parts)
 
 
 def joint_unit(*, prismatic: bool) -> tuple[float, str]:

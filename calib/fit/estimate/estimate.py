@@ -12,7 +12,7 @@ from calib.basics.values import Value, keep_read_only
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
-from calib.model.error_model import FRAME, TARGET
+from calib.model.error_model import FRAME, MOUNT, TARGET
 from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
@@ -168,7 +168,7 @@ def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) 
     predictions stay.
     """
     model, x = problem.kinematics.model, linear.x
-    of_setup = model.family(FRAME, TARGET)
+    of_setup = model.family(FRAME, TARGET, MOUNT)
     of_placements = model.of_robot & np.isin(model.units, ("m", "rad"))
     std = np.sqrt(np.diagonal(covariance))
     least = np.maximum(_NOTHING, _TRACE * std)

@@ -206,7 +206,7 @@ def fit(
 
     if registered is None:
         setup = task.setup if task.has_weights_and_priors else paper_start(task.setup)
-        registered = register(task.robot.poses(rows.joints), setup, rows)
+        registered = register(task.robot.poses(rows.joints, rows.samples.chain), setup, rows)
         registered = replace(registered, target_unknown=task.setup.target_unknown)
     model = registered.turn_directions(model)
     kinematics = Kinematics(task.robot, model, registered.T_frame_base, registered.T_tip_target)

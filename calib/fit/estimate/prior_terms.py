@@ -1,7 +1,7 @@
 """Priors and bounds of the parameters of a fit, as the cell states them.
 
 Parameters of the robot have a normal prior about zero with the standard deviation of their family, unless the cell
-gives one of their own. Frames and targets are flat: a weak prior only keeps them finite.
+gives one of their own. Frames, targets and the bases of further robots are flat: a weak prior only keeps them finite.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calib.basics.arrays import Array, Mask, rigid_inverse
 from calib.errors import ModelError
 from calib.fit.estimate.task import Task
 from calib.fit.registration.setup import Setup
-from calib.model.error_model import FRAME, TARGET, ErrorModel
+from calib.model.error_model import FRAME, MOUNT, TARGET, ErrorModel
 
 #: Standard deviation of the weak prior of frames and targets about where they are registered, and of all parameters
 #: if priors are off, in the parameter's unit.
@@ -78,7 +78,7 @@ class PriorTerms:
         known_std = {**std_of_internals, **cell.parameter_priors}
         std = np.array([known_std.get(name, np.nan) for name in model.names])
         has_own = np.isfinite(std)
-        of_setup = model.family(FRAME, TARGET)
+        of_setup = model.family(FRAME, TARGET, MOUNT)
         weak_precision = np.where(of_setup, 1.0 / _WEAK**2, 0.0)
         bounds = np.array([cell.bounds.get(name, (-np.inf, np.inf)) for name in model.names])
 

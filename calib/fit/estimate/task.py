@@ -9,7 +9,7 @@ from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.errors import ModelError, choices
 from calib.fit.registration.setup import KnownDistance, Setup
-from calib.model.error_model import FRAME, TARGET, ErrorModel, Parameter
+from calib.model.error_model import FRAME, MOUNT, TARGET, ErrorModel, Parameter
 from calib.model.frozen import frozen_parameters
 from calib.model.parameter_sets import error_model
 from calib.numerics.solvers import Solver, check_name, has_weights_and_priors
@@ -75,7 +75,7 @@ class Task(Value):
         # A measurement frame or target is estimated as a whole, or not at all.
         leaders = [leader for leader, _ in ties.values()]
         tied = {*ties, *leaders}
-        of_setup = [p.name for p in model.parameters if p.family in (FRAME, TARGET)]
+        of_setup = [p.name for p in model.parameters if p.family in (FRAME, TARGET, MOUNT)]
         of_instruments = [parameter.name for _, parameter in model.internals]
         refused = [name for name in of_setup if name in {*frozen, *tied}]
         refused += [name for name in of_instruments if name in tied]

@@ -1,8 +1,9 @@
 """Measurement setup: the frames and targets of a table, and what is estimated of them.
 
 A row's prediction is T_frame_target = T_frame_base T_base_tip T_tip_target, with the frame of its station and its
-target. A frame or target is estimated or fixed; if estimated, its pose here is where the estimation starts: as given,
-then as registered. Known distances between frames give sockets and planes a unit of length.
+target; base and tip are the links that these two are mounted on. A frame or target is estimated or fixed; if estimated,
+its pose here is where the estimation starts: as given, then as registered. Known distances between frames give sockets
+and planes a unit of length.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.errors import ModelError, choices
@@ -22,6 +23,7 @@ from calib.model.error_model import FRAME, TARGET, ErrorModel, Parameter
 from calib.model.internals import FIXED, InternalUnknown, changed_internals
 from calib.model.kinematics import Samples, Sightings
 from calib.model.parameter_sets import DIRECTIONS
+from calib.robot.robot import Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +55,39 @@ class Setup(Value):
     oriented: bool = False
     #: Internals of the instruments that are estimated
     internals: tuple[InternalUnknown, ...] = ()
+    #: For each frame the link that it is mounted on, whose pose in it ``T_frame_base`` is; empty: the robot's base
+    frame_links: tuple[str, ...] = ()
+    #: For each target the link that it is mounted on, in which ``T_tip_target`` is its pose; empty: the robot's tip
+    target_links: tuple[str, ...] = ()
+
+    def chains(self, robot: Robot, frame: Integers, target: Integers) -> Integers | None:
+        """Return the chain that each row is seen through, shape (N,), by its index in `Robot.chains`.
+
+        Args:
+            robot: The robot.
+            frame: Index of each row's frame, shape (N,).
+            target: Index of each row's target, shape (N,).
+
+        Returns:
+            Indices from 0; None if the robot has one chain.
+
+        Raises:
+            ModelError: The robot has no chain between the links of a frame and a target.
+        """
+        if not robot.branches:
+            return None
+        numbers = {(chain.base, chain.tip): k for k, chain in enumerate(robot.chains)}
+        bases = self.frame_links or (robot.base,) * len(self.groups)
+        tips = self.target_links or (robot.tip,) * len(self.targets)
+        result = np.empty(len(frame), dtype=np.int_)
+        for f, t in dict.fromkeys(zip(frame.tolist(), target.tolist(), strict=True)):
+            if (bases[f], tips[t]) not in numbers:
+                raise ModelError(
+                    f"The target '{self.targets[t]}' on '{tips[t]}' was seen from '{self.groups[f]}' on '{bases[f]}', "
+                    f"but the robot was loaded without a chain between these links."
+                )
+            result[(frame == f) & (target == t)] = numbers[bases[f], tips[t]]
+        return result
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:

@@ -66,20 +66,29 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     kind[later] = NONE
     partner = np.where(kind == NONE, -1, partner)
 
-    setup = measurement_setup(cell, measurements, kinds, kind)
+    setup = measurement_setup(robot, cell, measurements, kinds, kind)
     setup, internals = with_internals(setup, measurements, cell, pose)
     # Loads of the joints take time to compute: only if a model that may be fitted depends on them.
     needs_loads = cell.model == AUTO
     if not needs_loads:
         _, families = split_name(cell.model)
         needs_loads = any(FAMILIES[family].loaded for family in families)
+    frame = numbered(measurements.groups, setup.groups)
+    target = numbered(measurements.targets, setup.targets)
+    chain = setup.chains(robot, frame, target)
+    for index, robot_chain in enumerate(robot.chains):
+        moving = np.any(robot_chain.mimic_matrix @ robot.reading_matrix, axis=0)
+        needed = [name for name, moves in zip(robot.joint_names, moving, strict=True) if moves]
+        of_chain = np.ones(len(q), dtype=bool) if chain is None else chain == index
+        measurements.check_joints_of(needed, of_chain)
     samples = Samples(
         q=q,
-        frame=numbered(measurements.groups, setup.groups),
-        target=numbered(measurements.targets, setup.targets),
+        frame=frame,
+        target=target,
         load=joint_loads(robot, measurements, cell, q) if needs_loads else None,
         internals=internals,
         moves=measurements.moves_for(robot.joint_names),
+        chain=chain,
     )
 
     # Standard deviation of one scalar of each row by unit: the row's, else the cell's, else the assumed one.
@@ -123,7 +132,7 @@ def joint_loads(robot: Robot, measurements: Measurements, cell: Cell, q: Array) 
     if measurements.torques is None:
         return load
     for name, torque in zip(measurements.joint_names, measurements.torques.T, strict=False):
-        for k, joint in enumerate(robot.joints):
+        for k, joint in enumerate(robot.all_joints):
             if joint.name == name:
                 load[:, k, 0] = np.where(np.isfinite(torque), -torque, load[:, k, 0])
     return load
@@ -178,6 +187,7 @@ def _measured(measurements: Measurements, kinds: tuple[Kind, ...], kind_of_row: 
 
 
 def measurement_setup(
+    robot: Robot,
     cell: Cell,
     measurements: Measurements,
     kinds: tuple[Kind, ...],
@@ -186,6 +196,7 @@ def measurement_setup(
     """Make the setup of a table: poses as the cell gives them, identity if it gives none.
 
     Args:
+        robot: Its base and tip are the links of frames and targets whose links the cell does not name.
         cell: Frames and targets that are given, and whether they are estimated.
         measurements: Table of N rows; its groups are the stations.
         kinds: The kinds of its rows.
@@ -236,6 +247,11 @@ def measurement_setup(
         if cell.target_rotation is not None:
             T[:3, :3] = cell.target_rotation
 
+    # As `calib.data.cell_chains` takes them.
+    base, tip = robot.base, robot.tip
+    if cell.bases or cell.tips:
+        base, tip = cell.base or robot.urdf.root, cell.tip or robot.tip
+
     rotation = any(kind.depends_on_orientation for kind in kinds)
     return Setup(
         groups=groups,
@@ -249,6 +265,8 @@ def measurement_setup(
         rotation=rotation,
         own_axes=np.array(own_axes),
         oriented=cell.target_rotation is not None or rotation,
+        frame_links=tuple(cell.bases.get(group, base) for group in groups),
+        target_links=tuple(cell.tips.get(name, tip) for name in targets),
     )
 
 

@@ -22,6 +22,7 @@ from calib.fit.registration.rows import Rows
 from calib.fit.selection.cross_validation import linear_cross_validation
 from calib.model.families import family_of, joint_families
 from calib.model.joint_errors import joint_displacements, joint_parameters
+from calib.model.parameter_sets import OF_ONE_CHAIN
 from calib.numerics.errors import CrossValidation
 
 #: The geometries, from the smallest to the largest.
@@ -72,6 +73,8 @@ def geometry_parameters(task: Task) -> dict[str, int]:
     counts: dict[str, int] = {}
     listed = set()
     for geometry in LADDER:
+        if task.robot.branches and geometry in OF_ONE_CHAIN:
+            continue
         names = replace(task, model=geometry).error_model().names
         if names and names not in listed:
             listed.add(names)
@@ -97,10 +100,18 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     patterns: dict[str, Array] = {}
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
-        displacements = joint_displacements(robot, terms, samples.q, samples.load, samples.moves)
-        if not np.any(np.ptp(displacements, axis=0) > _NO_MOTION):
+        moves_joints = False
+        patterns_on_chains = []
+        for number, chain in enumerate(robot.chains):
+            seen = samples.select(samples.rows_of_chain(number))
+            displacements = joint_displacements(
+                chain, terms, seen.q, seen.load, seen.moves, loaded=robot
+            )
+            moves_joints |= bool(np.any(np.ptp(displacements, axis=0) > _NO_MOTION))
+            patterns_on_chains.append(displacements.reshape(-1, len(terms)))
+        if not moves_joints:
             continue
-        pattern = displacements.reshape(-1, len(terms))
+        pattern = np.concatenate(patterns_on_chains)
         if not any(_are_alike(pattern, earlier) for earlier in patterns.values()):
             patterns[family] = pattern
     return tuple(patterns)
@@ -131,7 +142,8 @@ def check_parameter_names(task: Task) -> None:
     without_frozen = replace(task, cell=replace(cell, frozen=(), ties={}))
     largest = model_name("placement", joint_families())
     known = set()
-    for model in (largest, "zeros", "dh", "hayati"):
+    others = ("zeros",) if task.robot.branches else ("zeros", "dh", "hayati")
+    for model in (largest, *others):
         known |= {*replace(without_frozen, model=model).error_model().names}
     urdf = task.robot.urdf
     known |= {*cell.frozen} & {*urdf.links, *(joint.name for joint in urdf.joints)}

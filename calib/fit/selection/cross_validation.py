@@ -104,7 +104,7 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     """
     folds = Folds.of_task(task, rows)
     setup = task.setup.with_estimated_not_given()
-    T_base_tip = task.robot.poses(rows.joints)
+    T_base_tip = task.robot.poses(rows.joints, rows.samples.chain)
     good = rows.evenly(ENOUGH) & rows.without(outliers)
     residuals = []
     for mask in folds.masks:

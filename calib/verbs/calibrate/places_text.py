@@ -11,11 +11,13 @@ import pinocchio as pin
 import calib.data.kinds as registry
 from calib.basics.arrays import Array
 from calib.data.kinds import Kind
+from calib.diagnosis.reasons import USE
 from calib.model.error_model import BOARD, CAMERA, Parameter
 from calib.model.parameter_sets import placed_name
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.show.lines import deg, mm, number
+from calib.show.verdict_text import reason_text
 
 #: A target further than this from the position given was given wrongly, not mounted inexactly [m].
 _GIVEN_WRONGLY = 5e-3
@@ -40,7 +42,7 @@ def target_sentences(c: Calibration) -> list[str]:
         place = _position(T_tip_target[:3, 3])
         if c.setup.rotation:
             place += _rpy(T_tip_target)
-        place += f" in {c.nominal.tip}"
+        place += f" in {c.setup.target_links[t] if c.setup.target_links else c.nominal.tip}"
 
         if not c.setup.target_unknown[t]:
             sentences.append(f"{label}: {place}, as given.")
@@ -87,7 +89,7 @@ def frame_sentences(c: Calibration) -> list[str]:
         is_fitted = placed_name("frame", directions[0], group) in c.model.names
         if not is_fitted:
             label += ", registered to its validation rows"
-        text = f"{label}: {_frame_place(c, c.setup.T_frame_base[f], kinds)}"
+        text = f"{label}: {_frame_place(_base_of(c, f), c.setup.T_frame_base[f], kinds)}"
         if is_fitted and not _is_point(kinds) and not _is_plane(kinds):
             lengths = [direction for direction in directions if direction in "xyz"]
             angles = [direction for direction in directions if direction not in "xyz"]
@@ -96,20 +98,49 @@ def frame_sentences(c: Calibration) -> list[str]:
                 halves.append(f"({_half_widths(c, 'frame', lengths, group)}) mm")
             if angles:
                 halves.append(f"({_half_widths(c, 'frame', angles, group)}) deg")
-            axes = "the frame" if c.setup.own_axes[f] else c.nominal.base
+            axes = "the frame" if c.setup.own_axes[f] else _base_of(c, f)
             text += f"; 95 % ± {' and '.join(halves)} for {', '.join(directions)} along and about the axes of {axes}"
         sentences.append(f"{text}.")
     return sentences
 
 
-def _frame_place(c: Calibration, T_frame_base: Array, kinds: Sequence[Kind]) -> str:
+def _base_of(c: Calibration, f: int) -> str:
+    """Return the link that frame f is mounted on."""
+    return c.setup.frame_links[f] if c.setup.frame_links else c.nominal.base
+
+
+def mount_sentences(c: Calibration) -> list[str]:
+    """Word where the base of each further robot stands in the first one's root, with its 95 % interval; mm and deg."""
+    sentences = []
+    for part in c.nominal.parts:
+        if part.mount not in c.nominal.mounts:
+            continue
+        T = c.robot.urdf.joint(part.mount).T_parent_joint
+        lengths = _half_widths(c, "mount", "xyz", part.name)
+        angles = _half_widths(c, "mount", ("rx", "ry", "rz"), part.name)
+        sentences.append(
+            f"Robot '{part.name}': {part.urdf.root} estimated at {_position(T[:3, 3])}{_rpy(T)} in "
+            f"{c.nominal.urdf.root}; 95 % ± ({lengths}) mm and ({angles}) deg about its axes."
+        )
+    return sentences
+
+
+def chain_sentences(c: Calibration) -> list[str]:
+    """Word the first reason of each chain whose verdict by itself is not ``use``."""
+    return [
+        f"{chain.base} to {chain.tip}, {chain.verdict.use}: {reason_text(chain.verdict.reasons[0])}"
+        for chain in c.trust.chains
+        if chain.verdict.use != USE and chain.verdict.reasons
+    ]
+
+
+def _frame_place(base: str, T_frame_base: Array, kinds: Sequence[Kind]) -> str:
     """Word the place of an estimated frame, T_frame_base (4, 4) [m], in mm and deg, by the kinds of its rows.
 
     It is a camera's pose, the point of a socket or anchor, or a plane's normal and distance, in the base; for other
     kinds the pose of the base in the frame.
     """
     position = T_frame_base[:3, 3]
-    base = c.nominal.base
     if any(kind.is_image for kind in kinds):
         T_base_camera = np.asarray(np.linalg.inv(T_frame_base))
         return f"estimated at {_position(T_base_camera[:3, 3])}{_rpy(T_base_camera)} in {base}"

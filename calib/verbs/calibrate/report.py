@@ -59,7 +59,9 @@ from calib.show.words import (
 from calib.verbs.calibrate.figures import drawings
 from calib.verbs.calibrate.places_text import (
     camera_and_board_sentences,
+    chain_sentences,
     frame_sentences,
+    mount_sentences,
     target_sentences,
 )
 from calib.verbs.calibrate.seen_corners import image_rows
@@ -190,7 +192,7 @@ def _head(c: Calibration) -> Iterator[Block]:
     """Name the robot, count the measured rows, and name the DH rows that it was made from and coupled readings."""
     rows = rows_sentence(c.nominal)
     yield Paragraph(
-        f"calib {__version__}: robot {chain_name(c.nominal)}, {len(c.nominal.joints)} joints; "
+        f"calib {__version__}: robot {chain_name(c.nominal)}, {len(c.nominal.all_joints)} joints; "
         f"{texts.counted_rows(c)} from {c.source.name or 'memory'}"
     )
     yield Paragraph(f"{rows}." if rows else "", tight=True)
@@ -259,6 +261,8 @@ def _accuracy(c: Calibration, columns: Sequence[ErrorColumn]) -> Iterator[Block]
     yield error_table("Error at the board", "m", at_board, columns, on=TERMINAL)
     yield Paragraph(held_out, on=TERMINAL, tight=True)
     yield images
+    yield tables.chains(c)
+    yield Bullets(chain_sentences(c), tight=True)
 
 
 def _validation(c: Calibration) -> Iterator[Block]:
@@ -296,6 +300,7 @@ def _rows_and_places(c: Calibration) -> Iterator[Block]:
         yield Paragraph(f"Outliers among the validation rows: {suspects}", tight=True)
     yield Bullets(target_sentences(c), most=_MOST_PLACES)
     yield Bullets(frame_sentences(c), most=_MOST_PLACES)
+    yield Bullets(mount_sentences(c))
     yield Bullets(camera_and_board_sentences(c))
 
 

@@ -501,6 +501,43 @@ def ranges(c: Calibration) -> Table:
     )
 
 
+# Chains
+
+
+def chains(c: Calibration) -> Table:
+    """Tabulate what the geometry is worth for each chain: held-out and expected errors, and the verdict.
+
+    Errors are without outliers, in the first unit that was measured. There are no rows for a robot of one chain.
+    """
+    rows: list[Row] = []
+    for chain in c.trust.chains:
+        before, after = chain.nominal.leading, chain.calibrated.leading
+        rows.append(
+            (
+                f"{chain.base} to {chain.tip}",
+                chain.rows,
+                with_unit(before.rms, before.unit),
+                with_unit(after.rms, after.unit),
+                with_unit(chain.expected, "m"),
+                chain.verdict.use,
+            )
+        )
+    columns = (
+        name_column("", 40),
+        Column("rows", 6),
+        Column("nominal", 12),
+        Column("calibrated", 12),
+        Column("expected", 12),
+        Column("verdict", left=True, gap=2),
+    )
+    return Table(
+        "Chains: rms error on held-out rows, and expected over the joint limits",
+        columns,
+        rows,
+        indent="  ",
+    )
+
+
 # Models and intervals
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, rigid_inverse
 from calib.errors import ModelError, UrdfError, VerdictError, choices
@@ -32,7 +34,23 @@ def write_urdf(
     verdict_against = do_not_use_text(c.verdict)
     if verdict_against and not accept:
         raise VerdictError(refusal(f"'{path}'", verdict_against))
-    return checked_urdf(c, target_link=target_link).write(path, overwrite=overwrite)
+    urdf = checked_urdf(c, target_link=target_link)
+    if c.robot.parts:
+        for name, own in c.robot.own_urdfs().items():
+            described = own.with_comments(run=c.run, verdict=verdict_against)
+            described.write(path_of_robot(path, name), overwrite=overwrite)
+    return urdf.write(path, overwrite=overwrite)
+
+
+def path_of_robot(path: str | Path, name: str) -> Path:
+    """Return the path of the URDF of one robot of a cell: ``cell_right.urdf`` of ``right`` beside ``cell.urdf``.
+
+    Args:
+        path: That of the cell's URDF.
+        name: The robot's name; empty for the first, ``cell_first.urdf``.
+    """
+    of_cell = Path(path)
+    return of_cell.with_name(f"{of_cell.stem}_{name or 'first'}{of_cell.suffix}")
 
 
 def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
@@ -50,13 +68,15 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
             raise ModelError(
                 f"There are {len(names)} targets, {choices(names)}; a target link can be written for one."
             )
-        urdf = _with_fixed_link(urdf, TARGET_LINK, c.robot.tip, c.setup.T_tip_target[0])
-    robot = replace(c.robot, urdf=urdf)
+        tip = c.setup.target_links[0] if c.setup.target_links else c.robot.tip
+        urdf = _with_fixed_link(urdf, TARGET_LINK, tip, c.setup.T_tip_target[0])
+    robot = c.robot.with_urdf(urdf)
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
-    T_base_tip = c.geometry.tips(Samples.at(q))
-    check_written(robot, T_base_tip, q, c.nominal)
-    return robot.urdf
+    chain = np.repeat(np.arange(len(robot.chains)), len(q))
+    samples = replace(Samples.at(np.tile(q, (len(robot.chains), 1))), chain=chain)
+    check_written(robot, c.geometry.tips(samples), q, c.nominal)
+    return urdf
 
 
 def _with_fixed_link(urdf: Urdf, name: str, parent: str, T_parent_link: Array) -> Urdf:
@@ -92,11 +112,12 @@ def _located_links(c: Calibration) -> Iterator[tuple[str, str, Array]]:
         several = len(setup.groups) > 1
         yield (
             f"{name}_{group}" if several else name,
-            c.robot.base,
+            setup.frame_links[f] if setup.frame_links else c.robot.base,
             rigid_inverse(setup.T_frame_base[f]),
         )
     for t, target in enumerate(setup.targets):
         if setup.target_unknown[t]:
             name = "calib_board" if of_image == {True} else TARGET_LINK
             several = len(setup.targets) > 1
-            yield f"{name}_{target}" if several else name, c.robot.tip, setup.T_tip_target[t]
+            tip = setup.target_links[t] if setup.target_links else c.robot.tip
+            yield f"{name}_{target}" if several else name, tip, setup.T_tip_target[t]

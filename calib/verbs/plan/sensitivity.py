@@ -92,7 +92,7 @@ class Sensitivity:
         targets = tuple(cell.targets) or (DEFAULT_TARGET,)
         table = instrument.stop_rows(robot, targets, next(iter(cell.frames), ""))
         stop = np.zeros(len(table), dtype=np.int_)
-        setup = measurement_setup(cell, table, (instrument.kind,), stop)
+        setup = measurement_setup(robot, cell, table, (instrument.kind,), stop)
         setup, _ = with_internals(setup, table, cell, stop)
         notes = [Note(code, values) for code, values in instrument.assumed]
         if not np.all(setup.target_given):

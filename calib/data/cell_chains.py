@@ -1,0 +1,97 @@
+"""The robot of a cell: the chains from the links of its measurement frames to those of its targets."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import numpy as np
+
+from calib.basics.tables import Table
+from calib.data.cell import Cell
+from calib.data.columns import WORD_COLUMNS, name_columns
+from calib.data.forms.column_options import ColumnsInput, column_options
+from calib.errors import ModelError, choices
+from calib.robot.joined_urdf import Part, joined_urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, read_urdf
+
+#: A station and a target, by name.
+Sight = tuple[str, str]
+
+
+def sights_of(table: Table, columns: ColumnsInput = None) -> tuple[Sight, ...]:
+    """Return the stations and targets that occur together in the rows of a table, in the table's order.
+
+    Args:
+        table: The table.
+        columns: What is said of its columns, as by ``--columns``; None: nothing.
+
+    Raises:
+        MeasurementError: As of `name_columns`.
+    """
+    named, group_columns = name_columns(table, (), column_options(columns))
+    _, default_target = WORD_COLUMNS["targets"]
+    targets = [default_target] * len(table.cells)
+    if "target" in named:
+        targets = [word or default_target for word in table.column(named["target"])]
+    groups = ["/".join(row[column.index] for column in group_columns) for row in table.cells]
+    return tuple(dict.fromkeys(zip(groups, targets, strict=True)))
+
+
+def robot_of_cell(
+    urdf: Urdf,
+    cell: Cell,
+    measured: Collection[str] | None = None,
+    sights: Iterable[Sight] | None = None,
+) -> Robot:
+    """Return the robot between the links of a cell, with the joints that the cell holds and couples.
+
+    Args:
+        urdf: The robot.
+        cell: Links of frames and targets.
+        measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
+        sights: Stations and targets that occur together; None: each station with each target that the cell names.
+
+    Returns:
+        The robot: one chain, or one with a branch for each further pair of links.
+
+    Raises:
+        UrdfError: No such link or joint, or a chain that calib cannot take.
+        ModelError: A target's link is not named, while those of others are.
+    """
+    parts = tuple(
+        Part(name, read_urdf(further.robot), estimated=further.estimated)
+        for name, further in cell.robots.items()
+    )
+    if parts:
+        mounts = {
+            name: np.eye(4) if further.T_root_base is None else further.T_root_base
+            for name, further in cell.robots.items()
+        }
+        first = Part("", urdf, estimated=False)
+        urdf = joined_urdf(urdf, parts, mounts)
+        parts = (first, *parts)
+    if not cell.bases and not cell.tips:
+        return Robot.from_urdf(
+            urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
+        )
+    if sights is None:
+        sights = [(group, target) for group in cell.bases or [""] for target in cell.tips or [""]]
+    ends = []
+    for group, target in sights:
+        tip = cell.tips.get(target, cell.tip)
+        if tip is None and cell.tips:
+            raise ModelError(
+                f"No link is named for the target '{target}'; the links of {choices(cell.tips)} are. Give it by --tip "
+                f"'{target}=LINK'; the links are {choices(urdf.links)}."
+            )
+        ends.append((cell.bases.get(group, cell.base or urdf.root), tip))
+    (base, tip), *others = dict.fromkeys(ends)
+    if not others:
+        return Robot.from_urdf(urdf, base, tip, measured, cell.held, cell.coupling, parts=parts)
+    if tip is None:  # the one tip of all frames is the farthest from the first
+        tip = Robot.from_urdf(urdf, base, None, measured, cell.held, cell.coupling).tip
+    branches = [(other_base, other_tip or tip) for other_base, other_tip in others]
+    return Robot.from_urdf(
+        urdf, base, tip, held=cell.held, coupling=cell.coupling, branches=branches, parts=parts
+    )

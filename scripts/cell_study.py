@@ -1,0 +1,329 @@
+"""Cells with several chains: what is recovered without noise, and error and coverage against the Cramer-Rao bound.
+
+    python scripts/cell_study.py exact            noise-free points, pixels and contacts, through the written URDFs
+    python scripts/cell_study.py bound 25         25 runs of each cell with noise: error over the bound, coverage
+
+Truths are Pinocchio's alone (`cell_truth.py`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from cell_truth import FOCAL, SIZE, TrueCell, draw_cell, joined
+from studies import run_jobs, study_parser
+
+from calib.basics.arrays import Array
+from calib.camera.camera import Camera
+from calib.data.cell import Cell, FurtherRobot
+from calib.data.cell_chains import robot_of_cell
+from calib.data.measurements import Measurements
+from calib.fit.estimate.problem import Problem
+from calib.model.observability import steps
+from calib.numerics.errors import interval_factor
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
+from calib.robot.urdf import read_urdf
+
+#: Noise of points [m] and of images [px].
+POINT_NOISE = 5e-5
+PIXEL_NOISE = 0.2
+
+#: Poses of each hand.
+POSES = 60
+
+#: Poses at which predictions are compared.
+FRESH = 60
+
+#: A known camera without distortion.
+CAMERA = Camera(
+    width=SIZE[0],
+    height=SIZE[1],
+    values=np.array([FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2, 0.0, 0.0, 0.0, 0.0, 0.0]),
+    sigma=np.zeros(9),
+)
+
+#: Links of the hands, by the target's name.
+HANDS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
+
+#: True place of the second of two robots.
+PLACE = pin.SE3(pin.exp3(np.array([0.05, -0.02, 2.8])), np.array([1.1, 0.2, 0.05]))
+
+#: A lens that is not known, of a camera whose images have the size of the others.
+UNKNOWN_CAMERA = Camera(width=SIZE[0], height=SIZE[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A cell, what is measured in it, and what calib is told."""
+
+    robot: str
+    truth: TrueCell
+    table: Measurements
+    cell: Cell
+    seen: tuple[tuple[str, str], ...]
+
+    def fitted(self) -> Calibration:
+        """Calibrate."""
+        return calibrate(self.robot, self.table, cell=self.cell, validate=False)
+
+
+def cell_of(truth: TrueCell, **known: object) -> Cell:
+    """Return what calib is told of a cell: links, and that frames and targets are unknown."""
+    return Cell(
+        bases={name: link for name, (link, _) in truth.frames.items()},
+        tips={name: link for name, (link, _) in truth.targets.items()},
+        estimate_frame=True,
+        model="placement",
+        **known,  # type: ignore[arg-type]
+    )
+
+
+def one_robot(
+    name: str,
+    rng: np.random.Generator,
+    frames: Mapping[str, str],
+    targets: Mapping[str, str],
+    poses: Mapping[str, pin.SE3] | None = None,
+) -> TrueCell:
+    """Draw a true cell of one robot, by its name."""
+    return draw_cell(read_urdf(name).data.decode(), rng, frames, targets, poses or {})
+
+
+def two_robots(
+    rng: np.random.Generator, frames: Mapping[str, str], targets: Mapping[str, str]
+) -> TrueCell:
+    """Draw a true cell of two Pandas."""
+    stated = Cell(robots={"right": FurtherRobot("panda")})
+    text = robot_of_cell(read_urdf("panda"), stated).urdf.data.decode()
+    return draw_cell(text, rng, frames, targets, {}, {"right/mount": PLACE})
+
+
+def points_on_hands(robot: str, root: str, rng: np.random.Generator, sigma: float) -> Study:
+    """A tracker sees a reflector on either hand."""
+    truth = one_robot(robot, rng, {"tracker": root}, HANDS)
+    seen = (("tracker", "left"), ("tracker", "right"))
+    table = truth.points(rng, seen, POSES, sigma)
+    return Study(robot, truth, table, cell_of(truth, instrument="tracker"), seen)
+
+
+def boards_on_hands(
+    robot: str, head: str, rng: np.random.Generator, sigma: float, camera: Camera = CAMERA
+) -> Study:
+    """A camera on the head sees a board on either hand."""
+    truth = one_robot(robot, rng, {"head": head}, HANDS)
+    seen = (("head", "left"), ("head", "right"))
+    table = truth.pixels(rng, seen, POSES, sigma)
+    return Study(robot, truth, table, cell_of(truth, cameras={"head": camera}), seen)
+
+
+def wrist_and_wall(rng: np.random.Generator, sigma: float) -> Study:
+    """A camera on the wrist sees a board on the table, and one on the wall a board on the flange."""
+    truth = one_robot(
+        "panda",
+        rng,
+        {"wrist": "panda_link8", "wall": "panda_link0"},
+        {"on_table": "panda_link0", "on_flange": "panda_link8"},
+    )
+    seen = (("wrist", "on_table"), ("wall", "on_flange"))
+    table = truth.pixels(rng, seen, POSES, sigma)
+    cameras = {"wrist": CAMERA, "wall": CAMERA}
+    return Study("panda", truth, table, cell_of(truth, cameras=cameras), seen)
+
+
+def camera_and_board_on_two_arms(
+    rng: np.random.Generator, sigma: float, camera: Camera = UNKNOWN_CAMERA
+) -> Study:
+    """One of two arms carries a camera, the other a board; intrinsics are unknown unless a camera is given."""
+    truth = two_robots(rng, {"camera": "panda_link8"}, {"board": "right/panda_link8"})
+    seen = (("camera", "board"),)
+    table = truth.pixels(rng, seen, 2 * POSES, sigma)
+    robots = {"right": FurtherRobot("panda")}
+    cell = cell_of(truth, cameras={"camera": camera}, robots=robots)
+    return Study("panda", truth, table, cell, seen)
+
+
+def points_on_two_arms(rng: np.random.Generator, sigma: float) -> Study:
+    """A tracker sees the hands of two arms."""
+    targets = {"left": "panda_link8", "right": "right/panda_link8"}
+    truth = two_robots(rng, {"tracker": "panda_link0"}, targets)
+    seen = (("tracker", "left"), ("tracker", "right"))
+    table = truth.points(rng, seen, POSES, sigma)
+    robots = {"right": FurtherRobot("panda")}
+    cell = cell_of(truth, robots=robots, instrument="tracker")
+    return Study("panda", truth, table, cell, seen)
+
+
+def clasp(robot: str, rng: np.random.Generator) -> Study:
+    """A ball on the right hand sits in a socket on the left, whose distance to the tracker's points is known."""
+    truth = one_robot(
+        robot,
+        rng,
+        {"tracker": "base_footprint", "socket": HANDS["left"]},
+        {"left": HANDS["left"], "right": HANDS["right"]},
+    )
+    points = truth.points(rng, [("tracker", "left"), ("tracker", "right")], POSES, 0.0)
+    contacts = truth.contacts(rng, "socket", ["right"], POSES // 2)
+    table = joined([points, contacts])
+    seen = (("tracker", "left"), ("tracker", "right"), ("socket", "right"))
+    return Study(robot, truth, table, cell_of(truth, instrument="tracker"), seen)
+
+
+def errors_through_files(study: Study, result: Calibration, rng: np.random.Generator) -> float:
+    """Return the largest error of predictions by the written URDF, as Pinocchio reads it [m].
+
+    Of a socket, whose axes mean nothing, the distance from its origin counts.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = result.write_urdf(Path(folder) / "cell.urdf", accept=True)
+        written = pin.buildModelFromUrdf(str(path))
+    setup = result.setup
+    frames = {
+        name: (link, pin.SE3(setup.T_frame_base[setup.groups.index(name)]).inverse())
+        for name, (link, _) in study.truth.frames.items()
+    }
+    targets = {
+        name: (link, pin.SE3(setup.T_tip_target[setup.targets.index(name)]))
+        for name, (link, _) in study.truth.targets.items()
+    }
+    found = TrueCell(written, written, frames, targets)
+    worst = 0.0
+    for frame, target in study.seen:
+        for values in study.truth.draw(rng, FRESH):
+            true = study.truth.pose(values, frame, target).translation
+            predicted = found.pose(values, frame, target).translation
+            if frame == "socket":
+                error = abs(np.linalg.norm(true) - np.linalg.norm(predicted))
+            else:
+                error = np.linalg.norm(true - predicted)
+            worst = max(worst, float(error))
+    return worst
+
+
+def run_exact(_arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield what is recovered without noise."""
+    rng = np.random.default_rng(45)
+    studies = {
+        "tiago_dual, points": lambda: points_on_hands("tiago_dual", "base_footprint", rng, 0.0),
+        "tiago_dual, pixels": lambda: boards_on_hands("tiago_dual", "head_2_link", rng, 0.0),
+        "tiago_dual, contacts": lambda: clasp("tiago_dual", rng),
+        "talos, points": lambda: points_on_hands("talos_reduced", "base_link", rng, 0.0),
+        "talos, pixels": lambda: boards_on_hands("talos_reduced", "head_2_link", rng, 0.0),
+        "two Pandas, points": lambda: points_on_two_arms(rng, 0.0),
+        "two Pandas, pixels": lambda: camera_and_board_on_two_arms(rng, 0.0, CAMERA),
+    }
+    for name, make in studies.items():
+        study = make()
+        error = errors_through_files(study, study.fitted(), rng)
+        yield f"{name}: {error:.1e} m"
+
+
+@dataclass(frozen=True)
+class Figures:
+    """One run with noise."""
+
+    #: Squared error of predicted positions, mean [m^2]
+    square: float
+    #: The Cramer-Rao bound of the same [m^2]
+    bound: float
+    #: Share of coordinates within their 95 % intervals
+    covered: float
+
+
+def figures_of(study: Study, rng: np.random.Generator) -> Figures:
+    """Calibrate a cell, and compare predictions at fresh joint values with the truth."""
+    result = study.fitted()
+    part = result.geometry
+    names = result.nominal.joint_names
+    order = [study.truth.joints.index(name) for name in names]
+    errors = []
+    twists = []
+    for frame, target in study.seen:
+        values = study.truth.draw(rng, FRESH)
+        true = [study.truth.pose(row, frame, target).translation for row in values]
+        samples = result.samples(values[:, order], target=target, group=frame)
+        poses, J = part.kinematics.twists(part.x, samples, rotation=False)
+        errors.append(poses[:, :3, 3] - np.array(true))
+        twists.append(J)
+    error = np.concatenate(errors)
+    J = np.concatenate(twists)
+    fitted = result.fit.geometry
+    bound = np.einsum("nip,pq,niq->", J, information_inverse(fitted.estimate.problem, part.x), J)
+    variance = np.einsum("nip,pq,niq->ni", J, part.covariance, J)
+    if part.scale is not None:
+        variance += (J @ part.change_by_scale) ** 2
+    inside = np.abs(error) <= interval_factor(fitted.estimate.freedom) * np.sqrt(variance)
+    return Figures(
+        square=float(np.mean(np.sum(error**2, axis=1))),
+        bound=float(bound) / len(error),
+        covered=float(np.mean(inside)),
+    )
+
+
+def information_inverse(problem: Problem, x: Array) -> Array:
+    """Return the covariance of an unbiased fit with known noise and no prior, (p, p), zero where nothing is known."""
+    sigma = {"m": POINT_NOISE, "px": PIXEL_NOISE}
+    rows = problem.rows
+    J = problem.prediction_jacobian(x)
+    scales = np.ones(rows.used.shape)
+    for unit in rows.channels.present:
+        scales = np.where(rows.channels.where(unit), sigma[unit], scales)
+    A = (J / scales[:, :, None])[rows.used]
+    step = steps(problem.kinematics.model.units)
+    return np.asarray(
+        np.linalg.pinv(A * step, rcond=1e-7) @ np.linalg.pinv(A * step, rcond=1e-7).T
+    ) * np.outer(step, step)
+
+
+#: Cells with noise.
+NOISY: Mapping[str, Callable[[np.random.Generator], Study]] = {
+    "shared torso, points on both hands": lambda rng: points_on_hands(
+        "tiago_dual", "base_footprint", rng, POINT_NOISE
+    ),
+    "camera on the head, board on either hand": lambda rng: boards_on_hands(
+        "tiago_dual", "head_2_link", rng, PIXEL_NOISE
+    ),
+    "cameras on wrist and wall": lambda rng: wrist_and_wall(rng, PIXEL_NOISE),
+    "two arms, camera and board, intrinsics unknown": lambda rng: camera_and_board_on_two_arms(
+        rng, PIXEL_NOISE
+    ),
+}
+
+
+def run_case(name: str, seed: int) -> Figures:
+    """Return the figures of one run of a cell, by its name and seed."""
+    rng = np.random.default_rng(seed)
+    return figures_of(NOISY[name](rng), rng)
+
+
+def run_bound(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield error over the bound and coverage of each cell."""
+    for name in NOISY:
+        cases = [(name, arguments.seed + k) for k in range(arguments.count)]
+        runs = list(run_jobs(run_case, cases, workers=arguments.workers, label=name))
+        ratio = np.sqrt(sum(run.square for run in runs) / sum(run.bound for run in runs))
+        covered = 100.0 * np.mean([run.covered for run in runs])
+        error = 1e3 * np.sqrt(np.mean([run.square for run in runs]))
+        yield f"{name}: error {error:.3f} mm, over the bound {ratio:.3f}, covered {covered:.1f} %"
+
+
+def main() -> None:
+    """Run one part of the study."""
+    parser = study_parser(__doc__, parallel=True)
+    parser.add_argument("part", choices=("exact", "bound"))
+    parser.add_argument("count", type=int, nargs="?", default=25, help="runs of each cell")
+    parser.add_argument("--seed", type=int, default=0, help="first seed")
+    arguments = parser.parse_args()
+    run = {"exact": run_exact, "bound": run_bound}[arguments.part]
+    for line in run(arguments):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
