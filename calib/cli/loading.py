@@ -86,7 +86,7 @@ def load_with_data(
         )
     columns = options.parsed()
     table = Table.read(data)
-    sights = sights_of(table, columns) if cell.bases or cell.tips else None
+    sights = sights_of(table, columns, cell.kind)
     arm = load(robot, cell, column_names(table, columns), sights)
     measurements = Measurements.read(
         table,

@@ -134,7 +134,9 @@ def inputs_of(
         return arm, brought_back(arm, table), cell
     read_table = Table.read(table)
     names = column_names(read_table)
-    arm = robot_of(robot, cell, measured=names, sights=sights_of(read_table), read=read)
+    arm = robot_of(
+        robot, cell, measured=names, sights=sights_of(read_table, kind=cell.kind), read=read
+    )
     measurements = Measurements.read(
         read_table,
         arm.joint_names,
