@@ -87,9 +87,12 @@ def robot_of_cell(
         return Robot.from_urdf(
             urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
         )
-    if sights is None:
+    sights = list(sights or ())
+    if not sights:
         sights = [(group, target) for group in cell.bases or [""] for target in cell.tips or [""]]
-    ends = []
+    ends: list[tuple[str, str | None]] = []
+    if stops and len(stops) == len(sights):  # the arm itself is seen by no row
+        ends.append((cell.base or urdf.root, cell.tip))
     # Chains of single joints come last.
     for group, target in sorted(sights, key=lambda sight: sight in stops):
         if (group, target) in stops:

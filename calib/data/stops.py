@@ -2,7 +2,8 @@
 
 A stop is a place where a joint cannot turn further. If its true angle is stated, from a drawing or measured once, a row
 with the joint's reading there measures the joint's zero, without any instrument. The chain of such a row is the joint
-alone, from the link before it to the one after it; frame and target are known, and so turned that z is the joint's axis:
+alone, from the link before it to the one after it; frame and target are known, and turned so that z is the joint's
+axis:
 
     T_frame_target = A^-1 O^-1  O' Rot(axis, q + dq)  A,        A z = axis
 
@@ -65,8 +66,8 @@ def stop_links(urdf: Urdf, name: str) -> tuple[str, str]:
     if joint.type not in _TURNING:
         turning = [joint.name for joint in urdf.joints if joint.type in _TURNING]
         raise UrdfError(
-            f"A row of the kind 'stop' names the joint '{name}', which is {joint.type}; joints that turn have stops that "
-            f"are angles: {choices(turning)}."
+            f"A row of the kind 'stop' names the joint '{name}', which is {joint.type}; joints that turn have stops "
+            f"that are angles: {choices(turning)}."
         )
     return joint.parent, joint.child
 

@@ -84,7 +84,8 @@ def _chains(result: Calibration, evidence: Evidence, rows: Rows) -> Iterator[Cha
     samples = rows.samples
     for number, chain in enumerate(robot.chains):
         first = samples.rows_of_chain(number)[:1]
-        if not len(first):  # validation rows alone see it
+        # Of validation rows alone, or of one joint at its stops, which is no arm.
+        if not len(first) or rows.where(lambda kind: kind.of_joint)[first[0]]:
             continue
         seen = (int(samples.frame[first[0]]), int(samples.target[first[0]]))
         expected = _expected_over_limits(result, geometry, *seen)
