@@ -13,6 +13,7 @@ from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
 from calib.basics.units import UNITS, Unit
+from calib.data.forms.orientation_columns import Orientation
 from calib.data.layout import Layout
 from calib.errors import MeasurementError
 
@@ -167,7 +168,7 @@ def _check_block(
     units = [column.unit for column in columns if column.unit]
     fault: Fault | None = None
     if name == "orientation" and not units:
-        fault = _orientation_fault(layout, columns, values)
+        fault = orientation_fault(layout.orientation, columns, values)
     elif name in ("orientation", "joints") and {unit.symbol for unit in units} == {"rad"}:
         # Angles, or the lengths of rotation vectors.
         median = np.median(np.linalg.norm(values[complete], axis=1))
@@ -178,7 +179,7 @@ def _check_block(
                 f"'{columns[0].name} [deg]' into the header."
             )
     elif name == "orientation":
-        fault = _orientation_fault(layout, columns, values)
+        fault = orientation_fault(layout.orientation, columns, values)
     elif name == "points":
         fault = implausible_length(values, units)
     elif name == "joints" and units[0].quantity == "length":
@@ -191,8 +192,20 @@ def _check_block(
         table.fail(fault.row, columns[fault.column], fault.what, layout.words.get("row"))
 
 
-def _orientation_fault(layout: Layout, columns: Sequence[Column], values: Array) -> Fault | None:
-    """Return the fault of the first of N orientations (N, 3, 4 or 9), as written, that is not one; None without one."""
+def orientation_fault(
+    orientation: Orientation | None, columns: Sequence[Column], values: Array
+) -> Fault | None:
+    """Find an orientation that is none.
+
+    Args:
+        orientation: Its convention, and whether that was named; None: not known.
+        columns: Its k columns.
+        values: Numbers of N orientations as written, shape (N, k); NaN where nothing is measured.
+
+    Returns:
+        The first quaternion whose length is not one, matrix that is no rotation, or rotation vector of more than half a
+        turn that may be of another convention; None if there is none.
+    """
     # The length of quaternions is one.
     if len(columns) == 4:
         lengths = np.linalg.norm(values, axis=1)
@@ -219,7 +232,6 @@ def _orientation_fault(layout: Layout, columns: Sequence[Column], values: Array)
 
     # Rotation vectors are no longer than half a turn; longer ones may be angles of another convention, if none was
     # named.
-    orientation = layout.orientation
     if orientation is None or not orientation.alternatives:
         return None
     angles = np.linalg.norm(values * [column.to_si for column in columns], axis=1)

@@ -90,6 +90,9 @@ class Why(str, Enum):
     ORIENTATIONS_JOINT_TURNED = "orientations_joint_turned", Role.WRONG_INPUT
     ORIENTATIONS_JOINT_ZERO = "orientations_joint_zero", Role.WRONG_INPUT
     TWO_MISTAKES = "two_mistakes", Role.WRONG_INPUT
+    FLANGE_INVERSE = "flange_inverse", Role.WRONG_INPUT
+    FLANGE_OFF = "flange_off", Role.WRONG_INPUT
+    FLANGE_CONVENTION = "flange_convention", Role.WRONG_INPUT
     CAMERA_ON_OTHER_LINK = "camera_on_other_link", Role.WRONG_INPUT
 
     # A mistake in DH rows explains the rows of the table

@@ -19,6 +19,7 @@ from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
 from calib.diagnosis.dh_changes import DHTrials, find_wrong_rows, stated_rows
+from calib.diagnosis.flange_mistakes import flange_mistakes
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.screening import screened_errors
 from calib.diagnosis.trials import (
@@ -49,6 +50,7 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.parameter_sets import DIRECTIONS
+from calib.robot.flange import is_flange_robot
 from calib.robot.robot import Robot
 
 #: A mistake is named only if the error is at most this with it undone [m].
@@ -233,6 +235,8 @@ def find_usual_mistake(
         The mistake, with the rms errors as given and with it undone [m] (of orientations [rad]), and others that
         explain the rows as well; None if the nominal error is plausible or no mistake explains it.
     """
+    if is_flange_robot(robot.joint_names):
+        return next(flange_mistakes(robot, cell, table), None)
     from_images = poses_of_images(robot, cell, table)
     if from_images is not None:
         table_of_poses, cell_of_poses = from_images

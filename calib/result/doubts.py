@@ -83,11 +83,13 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
         return
     yield from contradicted_values(few, scale)
     yield from doubtful_views(few)
-    yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
+    is_flange = is_flange_robot(result.nominal.joint_names)
+    if not is_flange:
+        yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)
     if has_weights_and_priors(result.method.solver):
         yield from sole_postures(result.fit.geometry, np.array(m.rows)[m.estimation])
-    if _is_named_model(result) and not is_flange_robot(result.nominal.joint_names):
+    if _is_named_model(result) and not is_flange:
         yield from _missing_model(few)
     yield from partial_coverage(few)
     yield from patterns_in_table(fitted, m)

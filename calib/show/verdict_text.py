@@ -34,6 +34,10 @@ _TURNED = (
     "The nominal robot's orientations are {given_rad:deg.0f} deg rms off, but only "
     "{error_rad:deg.1f} deg if "
 )
+_FLANGE = (
+    "With the poses of the flange as given the target is {given_m:mm.0f} mm rms off, but only "
+    "{error_m:mm.1f} mm if "
+)
 _REGISTERED_AGAIN = (
     "The rms error is {given_m:mm.2f} mm with the frame and target of the result, but only "
     "{error_m:mm.2f} mm if the "
@@ -254,6 +258,14 @@ SENTENCES = {
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} the error falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
+    Why.FLANGE_INVERSE: _FLANGE
+    + "they are inverted: give the pose of the flange in the base, not that of the base in "
+    "the flange; or camera and board are on the other link: exchange --camera-on and --board-on.",
+    Why.FLANGE_CONVENTION: _FLANGE
+    + "their orientations are of another convention: try --orientation {convention}.",
+    Why.FLANGE_OFF: "With these poses of the flange the target is {given_m:mm.0f} mm rms off, more than any robot, and "
+    "neither inverse poses nor another convention of their orientations explain it. Do pictures and poses belong "
+    "together, are the links right (--camera-on, --board-on), the squares of the board and the camera?",
     Why.CAMERA_ON_OTHER_LINK: _OFF
     + "'{tip}' carries the camera and '{base}' the board: exchange --camera-on and --board-on.",
     Why.SENSE_REVERSED: "The images fit far better if '{joint}' counts in the other direction ({error_m:mm.1f} mm "

@@ -20,6 +20,7 @@ from calib.data.columns import POINT, cells_of, list_columns, name_columns, with
 from calib.data.forms.column_options import ColumnOptions, ColumnsInput, column_options
 from calib.data.forms.orientation_columns import conventions_of, in_units
 from calib.data.forms.orientations import CONVENTIONS, IN_ANY_CASE, find_convention
+from calib.data.plausibility import implausible_length, orientation_fault
 from calib.errors import MeasurementError
 from calib.robot.flange import JOINTS, SLIDING
 
@@ -28,9 +29,6 @@ PREFIX = "flange_"
 
 #: Columns by which a table is one of corners in pictures.
 _OF_CORNERS = ("u", "v")
-
-#: Farthest that the norm of a quaternion, or the length of a column of a matrix, is from 1.
-_NORM_TOLERANCE = 1e-3
 
 
 def has_flange_poses(table: Table, columns: ColumnsInput = None) -> bool:
@@ -88,16 +86,25 @@ def with_flange_joints(table: Table, columns: ColumnsInput = None) -> tuple[Tabl
             what = f"'{text}' is not a finite number; a row has the whole pose, or none."
             table.fail(n, used[k], what, named.get("row"))
     R = orientation.convention.matrices(numbers[:, 3:])
-    _check_rotations(table, named, orientation.columns, orientation.convention.name, numbers[:, 3:])
+    written = table.numbers(used)
+    units_of_position = [column.unit for column in position if column.unit is not None]
+    faults = (
+        (position, implausible_length(written[:, :3], units_of_position, near=False)),
+        (orientation.columns, orientation_fault(orientation, orientation.columns, written[:, 3:])),
+    )
+    for columns_of_fault, fault in faults:
+        if fault is not None:
+            column = columns_of_fault[fault.column]
+            table.fail(fault.row, column, fault.what, named.get("row"))
     values = flange_joints(numbers[:, :3], R)
 
     replaced = {column.index for column in used}
     kept = [i for i in range(len(table.header)) if i not in replaced]
-    written = [cells_of(values[:, k], "") for k in range(len(JOINTS))]
+    joint_cells = [cells_of(values[:, k], "") for k in range(len(JOINTS))]
     units = ["m"] * SLIDING + ["rad"] * (len(JOINTS) - SLIDING)
     heads = [f"{name} [{unit}]" for name, unit in zip(JOINTS, units, strict=True)]
     cells = tuple(
-        [*(row[i] for i in kept), *(str(column[n]) for column in written)]
+        [*(row[i] for i in kept), *(str(column[n]) for column in joint_cells)]
         for n, row in enumerate(table.cells)
     )
     left = {split_header(table.header[i])[0] for i in kept} | {table.header[i] for i in kept}
@@ -138,25 +145,3 @@ def _pose_columns(table: Table, options: ColumnOptions) -> Mapping[str, Column]:
         in_any_case |= {name.casefold(): name for name in convention.columns}
     source = prefixed or named
     return {in_any_case.get(name.casefold(), name): column for name, column in source.items()}
-
-
-def _check_rotations(
-    table: Table,
-    named: Mapping[str, Column],
-    columns: tuple[Column, ...],
-    form: str,
-    numbers: Array,
-) -> None:
-    """Raise `MeasurementError` for a row whose quaternion or matrix, numbers (N, k), is far from a rotation."""
-    if form == "matrix":
-        M = numbers.reshape(-1, 3, 3)
-        off = np.abs(np.einsum("nij,nik->njk", M, M) - np.eye(3)).max(axis=(1, 2))
-        off = np.where(np.linalg.det(np.nan_to_num(M)) < 0.0, 1.0, off)
-    elif len(columns) == 4:
-        off = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
-    else:
-        return
-    wrong = np.flatnonzero(np.isfinite(numbers).all(axis=1) & (off > _NORM_TOLERANCE))
-    if len(wrong):
-        what = f"the orientation of the flange is no rotation: it is off by {off[wrong[0]]:.3g}."
-        table.fail(int(wrong[0]), columns[0], what, named.get("row"))

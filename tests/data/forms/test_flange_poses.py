@@ -87,7 +87,14 @@ def test_columns_may_be_mapped(tmp_path: Path):
     [
         ({"flange_x [mm]": None}, r"no pose of the flange.*'flange_x \[mm\]'"),
         ({"flange_qw": None}, "needs one orientation, and the table has none"),
-        ({"flange_qw": ["0.5", "0.5"]}, r"row 1\), column 'flange_qx': .* is no rotation"),
+        (
+            {"flange_qw": ["0.5", "0.5"]},
+            r"row 1\), column 'flange_qx': the quaternion has the length",
+        ),
+        (
+            {"flange_y [mm]": ["5e5", "5e5"]},
+            r"row 1\), column 'flange_y \[mm\]': 500000 was read as",
+        ),
         ({"flange_y [mm]": ["1", "wide"]}, r"row 2\), column 'flange_y \[mm\]': 'wide'"),
         ({"flange_y [mm]": None, "flange_y": ["1", "2"]}, "'flange_y'.*has no unit"),
     ],
