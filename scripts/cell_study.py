@@ -20,6 +20,7 @@ from cell_truth import FOCAL, SIZE, TrueCell, draw_cell, joined
 from studies import run_jobs, study_parser
 
 from calib.basics.arrays import Array
+from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell import Cell, FurtherRobot
 from calib.data.cell_chains import robot_of_cell
@@ -47,6 +48,18 @@ CAMERA = Camera(
     height=SIZE[1],
     values=np.array([FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2, 0.0, 0.0, 0.0, 0.0, 0.0]),
     sigma=np.zeros(9),
+)
+
+#: The boards of `cell_truth`, without errors of their print: what one camera and one board leave open is the scale of
+#: the cell, which a print's scale alone determines.
+BOARD = Board(
+    pattern="chessboard",
+    columns=6,
+    rows=5,
+    square=0.03,
+    sigma_scale=0.0,
+    sigma_corner=0.0,
+    sigma_warp=0.0,
 )
 
 #: Links of the hands, by the target's name.
@@ -117,35 +130,38 @@ def boards_on_hands(
     robot: str, head: str, rng: np.random.Generator, sigma: float, camera: Camera = CAMERA
 ) -> Study:
     """A camera on the head sees a board on either hand."""
-    truth = one_robot(robot, rng, {"head": head}, HANDS)
     seen = (("head", "left"), ("head", "right"))
+    truth = one_robot(robot, rng, {"head": head}, HANDS).aimed(rng, seen)
     table = truth.pixels(rng, seen, POSES, sigma)
-    return Study(robot, truth, table, cell_of(truth, cameras={"head": camera}), seen)
+    cell = cell_of(truth, cameras={"head": camera}, boards={"left": BOARD, "right": BOARD})
+    return Study(robot, truth, table, cell, seen)
 
 
 def wrist_and_wall(rng: np.random.Generator, sigma: float) -> Study:
     """A camera on the wrist sees a board on the table, and one on the wall a board on the flange."""
+    seen = (("wrist", "on_table"), ("wall", "on_flange"))
     truth = one_robot(
         "panda",
         rng,
         {"wrist": "panda_link8", "wall": "panda_link0"},
         {"on_table": "panda_link0", "on_flange": "panda_link8"},
-    )
-    seen = (("wrist", "on_table"), ("wall", "on_flange"))
+    ).aimed(rng, seen)
     table = truth.pixels(rng, seen, POSES, sigma)
     cameras = {"wrist": CAMERA, "wall": CAMERA}
-    return Study("panda", truth, table, cell_of(truth, cameras=cameras), seen)
+    boards = {"on_table": BOARD, "on_flange": BOARD}
+    return Study("panda", truth, table, cell_of(truth, cameras=cameras, boards=boards), seen)
 
 
 def camera_and_board_on_two_arms(
     rng: np.random.Generator, sigma: float, camera: Camera = UNKNOWN_CAMERA
 ) -> Study:
     """One of two arms carries a camera, the other a board; intrinsics are unknown unless a camera is given."""
-    truth = two_robots(rng, {"camera": "panda_link8"}, {"board": "right/panda_link8"})
     seen = (("camera", "board"),)
+    truth = two_robots(rng, {"camera": "panda_link8"}, {"board": "right/panda_link8"})
+    truth = truth.aimed(rng, seen)
     table = truth.pixels(rng, seen, 2 * POSES, sigma)
     robots = {"right": FurtherRobot("panda")}
-    cell = cell_of(truth, cameras={"camera": camera}, robots=robots)
+    cell = cell_of(truth, cameras={"camera": camera}, boards={"board": BOARD}, robots=robots)
     return Study("panda", truth, table, cell, seen)
 
 
@@ -195,13 +211,13 @@ def errors_through_files(study: Study, result: Calibration, rng: np.random.Gener
     found = TrueCell(written, written, frames, targets)
     worst = 0.0
     for frame, target in study.seen:
-        for values in study.truth.draw(rng, FRESH):
+        for values in study.truth.fresh(rng, frame, FRESH):
             true = study.truth.pose(values, frame, target).translation
             predicted = found.pose(values, frame, target).translation
             if frame == "socket":
                 error = abs(np.linalg.norm(true) - np.linalg.norm(predicted))
             else:
-                error = np.linalg.norm(true - predicted)
+                error = float(np.linalg.norm(true - predicted))
             worst = max(worst, float(error))
     return worst
 
@@ -209,7 +225,7 @@ def errors_through_files(study: Study, result: Calibration, rng: np.random.Gener
 def run_exact(_arguments: argparse.Namespace) -> Iterator[str]:
     """Yield what is recovered without noise."""
     rng = np.random.default_rng(45)
-    studies = {
+    studies: dict[str, Callable[[], Study]] = {
         "tiago_dual, points": lambda: points_on_hands("tiago_dual", "base_footprint", rng, 0.0),
         "tiago_dual, pixels": lambda: boards_on_hands("tiago_dual", "head_2_link", rng, 0.0),
         "tiago_dual, contacts": lambda: clasp("tiago_dual", rng),
@@ -245,7 +261,7 @@ def figures_of(study: Study, rng: np.random.Generator) -> Figures:
     errors = []
     twists = []
     for frame, target in study.seen:
-        values = study.truth.draw(rng, FRESH)
+        values = study.truth.fresh(rng, frame, FRESH)
         true = [study.truth.pose(row, frame, target).translation for row in values]
         samples = result.samples(values[:, order], target=target, group=frame)
         poses, J = part.kinematics.twists(part.x, samples, rotation=False)

@@ -30,6 +30,12 @@ _CORNERS = np.array([[0.03 * i, 0.03 * j, 0.0] for i in range(5) for j in range(
 FOCAL = 1000.0
 SIZE = (1280, 960)
 
+#: Poses are drawn this share of the way from the posture at which the camera was aimed to any other.
+_AROUND = 0.35
+
+#: Cosine of the largest angle between a camera's line of sight and its boards.
+_WITHIN = 0.93
+
 #: The farthest board that is detected [m], and the steepest view of it (cosine).
 _FARTHEST = 1.5
 _STEEPEST = 0.4
@@ -49,6 +55,8 @@ class TrueCell:
     targets: Mapping[str, tuple[str, pin.SE3]]
     #: Joints that move.
     joints: list[str] = field(init=False)
+    #: For each camera that is aimed the posture at which it is, (n,).
+    _postures: dict[str, Array] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         """List the joints between the links."""
@@ -87,9 +95,18 @@ class TrueCell:
             high.append(limits[1])
         return rng.uniform(low, high, (count, len(self.joints)))
 
+    def fresh(self, rng: np.random.Generator, frame: str, count: int) -> Array:
+        """Draw joint values, (count, n), at which to predict what a frame sees: of a camera those near its posture."""
+        values = self.draw(rng, count)
+        if frame not in self._postures:
+            return values
+        around = self._postures[frame]
+        near: Array = around + _AROUND * (values - around)
+        return near
+
     def configuration(self, values: Array) -> Array:
         """Return Pinocchio's configuration of joint values, (n,)."""
-        q = pin.neutral(self.true)
+        q: Array = pin.neutral(self.true)
         for name, value in zip(self.joints, values, strict=True):
             joint = self.true.joints[self.true.getJointId(name)]
             if joint.nq == 1:
@@ -106,6 +123,40 @@ class TrueCell:
         (base, T_base_frame), (tip, T_tip_target) = self.frames[frame], self.targets[target]
         T_base_tip = data.oMf[model.getFrameId(base)].inverse() * data.oMf[model.getFrameId(tip)]
         return T_base_frame.inverse() * T_base_tip * T_tip_target
+
+    def aimed(self, rng: np.random.Generator, seen: Iterable[tuple[str, str]]) -> TrueCell:
+        """Return the cell with cameras that look at their boards, and boards that face them, at one posture.
+
+        A camera stays where it is and turns; a board turns about its own origin.
+        """
+        boards: dict[str, list[str]] = {}
+        for frame, target in seen:
+            boards.setdefault(frame, []).append(target)
+        frames, targets = dict(self.frames), dict(self.targets)
+        for frame, names in boards.items():
+            while True:
+                values = self.draw(rng, 1)[0]
+                poses = [self.pose(values, frame, name) for name in names]
+                towards = [pose.translation / np.linalg.norm(pose.translation) for pose in poses]
+                far = [float(np.linalg.norm(pose.translation)) for pose in poses]
+                middle = np.mean(towards, axis=0)
+                spread = min(float(t @ middle) for t in towards) / np.linalg.norm(middle)
+                if min(far) > 0.45 and max(far) < 1.1 and spread > _WITHIN:
+                    break
+            # The camera's z axis goes through the middle.
+            turn = pin.SE3(_rotation_to(middle), np.zeros(3))
+            link, T_link_frame = frames[frame]
+            frames[frame] = (link, T_link_frame * turn)
+            for name, pose in zip(names, poses, strict=True):
+                seen_pose = turn.inverse() * pose
+                facing = seen_pose.rotation.T  # the board's axes along the camera's
+                link, T_link_target = targets[name]
+                tilt = pin.exp3(0.3 * rng.standard_normal(3))
+                targets[name] = (link, T_link_target * pin.SE3(facing @ tilt, np.zeros(3)))
+            object.__setattr__(self, "_postures", {**self._postures, frame: values})
+        result = TrueCell(self.nominal, self.true, frames, targets)
+        object.__setattr__(result, "_postures", self._postures)
+        return result
 
     # What is measured
 
@@ -127,10 +178,10 @@ class TrueCell:
         """Return images of boards, ``count`` from each camera of each board, with noise [px]."""
         parts = []
         for frame, target in seen:
-            q = []
-            u = []
+            q: list[Array] = []
+            u: list[Array] = []
             while len(q) < count:
-                values = self.draw(rng, 1)[0]
+                values = self.fresh(rng, frame, 1)[0]
                 image = self.image(self.pose(values, frame, target))
                 if image is not None:
                     q.append(values)
@@ -158,7 +209,7 @@ class TrueCell:
         towards = -T.rotation[:, 2] @ (P.mean(axis=0) / np.linalg.norm(P.mean(axis=0)))
         if np.any(P[:, 2] < 0.1) or P[:, 2].max() > _FARTHEST or abs(towards) < _STEEPEST:
             return None
-        u = FOCAL * P[:, :2] / P[:, 2:] + np.array(SIZE) / 2.0
+        u: Array = FOCAL * P[:, :2] / P[:, 2:] + np.array(SIZE) / 2.0
         return u if np.all((u > 0.0) & (u < SIZE)) else None
 
     def contacts(
@@ -190,7 +241,8 @@ class TrueCell:
                 change = -np.linalg.pinv(J) @ p
                 values = values + change * min(1.0, 0.3 / max(np.abs(change).max(), 1e-12))
             if np.abs(p).max() < 1e-13 and np.abs(values).max() < LARGEST + 1.0:
-                return values
+                reached: Array = values
+                return reached
 
     def _table(
         self, q: Array, frame: str, target: str, kind: str, **measured: object
@@ -299,6 +351,14 @@ def draw_cell(
         frames={name: (link, drawn(name, 1.0, 1.0)) for name, link in frames.items()},
         targets={name: (link, drawn(name, 0.1, 0.5)) for name, link in targets.items()},
     )
+
+
+def _rotation_to(direction: Array) -> Array:
+    """Return a rotation, (3, 3), that takes z to a direction, (3,)."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
 
 
 def _move_fixed_joint(model: pin.Model, name: str, pose: pin.SE3) -> None:

@@ -498,25 +498,39 @@ def changes(value: Any, given: Mapping[str, Any]) -> dict[str, Any]:  # noqa: AN
         typed = [option for option in row.options if option.name in given]
         if not typed:
             continue
-        option = typed[0]
-        words = given[option.name]
-        for other in typed[1:]:
-            if given[other.name] != words:
+        parsed: dict[str, Any] = {}
+        for option in typed:
+            words = given[option.name]
+            if option.parse is not None:
+                parsed[option.name] = option.parse(words, option.flag)
+            else:
+                parsed[option.name] = row.form.read(words, Place(option.flag))
+                for sharing, shared in rows:  # a key that gives two fields
+                    if shared.name == row.name and sharing is not field:
+                        result[sharing.name] = shared.form.read(words, Place(option.flag))
+        # Options that say nothing of the field, or add entries to it, do not contradict each other.
+        stating = [
+            option
+            for option in typed
+            if parsed[option.name] is not None and not isinstance(parsed[option.name], Mapping)
+        ]
+        for other in stating[1:]:
+            first = stating[0]
+            if given[other.name] != given[first.name]:
                 raise CalibError(
-                    f"{option.flag} is '{words}' and {other.flag} is '{given[other.name]}': they mean the same. Give "
-                    "one of them."
+                    f"{first.flag} is {_typed_text(given[first.name])} and {other.flag} is "
+                    f"{_typed_text(given[other.name])}: they mean the same. Give one of them."
                 )
-        if option.parse is not None:
-            parsed = option.parse(words, option.flag)
-        else:
-            parsed = row.form.read(words, Place(option.flag))
-            for sharing, shared in rows:  # such as `frame`, which gives two fields
-                if shared.name == row.name and sharing is not field:
-                    result[sharing.name] = shared.form.read(words, Place(option.flag))
-        if option.merge is not None:
-            parsed = option.merge(getattr(value, field.name), parsed)
-        result[field.name] = parsed
+        for option in typed:
+            so_far = result.get(field.name, getattr(value, field.name, None))
+            new = parsed[option.name]
+            result[field.name] = new if option.merge is None else option.merge(so_far, new)
     return result
+
+
+def _typed_text(words: Any) -> str:  # noqa: ANN401
+    """Return what was typed for an option, a text or a list of texts, in quotes."""
+    return choices(words) if isinstance(words, list) else f"'{words}'"
 
 
 def key_rows(kind: type, besides: Sequence[Key] = ()) -> list[tuple[str, str, str, str]]:

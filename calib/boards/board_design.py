@@ -11,20 +11,46 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, PATTERNS, Board
+from calib.boards.board import (
+    APRILGRID,
+    APRILTAG,
+    ASYMMETRIC_CIRCLES,
+    BODY,
+    CHARUCO,
+    CHESSBOARD,
+    CIRCLES,
+    PATTERNS,
+    ROUND,
+    TAGS,
+    Board,
+)
 from calib.boards.board_page import NO_PAPER, Sheet, margins, quiet_zone, sheet_for, sizes_of_paper
-from calib.boards.dictionaries import DICTIONARIES
+from calib.boards.dictionaries import DICTIONARIES, dictionary_of
 from calib.errors import CalibError, choices, did_you_mean
 
 #: Default columns and rows of each pattern: 54 corners, 54 corners, 96 corners of 24 tags.
-_COUNTS: Mapping[str, tuple[int, int]] = {CHARUCO: (10, 7), CHESSBOARD: (10, 7), APRILTAG: (6, 4)}
+_COUNTS: Mapping[str, tuple[int, int]] = {
+    CHARUCO: (10, 7),
+    CHESSBOARD: (10, 7),
+    APRILTAG: (6, 4),
+    APRILGRID: (6, 4),
+    CIRCLES: (9, 6),
+    ASYMMETRIC_CIRCLES: (5, 7),
+}
 
 #: Default dictionaries of each pattern; the first that is large enough is taken.
 _DICTIONARIES: Mapping[str, tuple[str, ...]] = {
     CHARUCO: ("DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
     CHESSBOARD: ("",),
     APRILTAG: ("DICT_APRILTAG_36h11", "DICT_APRILTAG_36h10"),
+    APRILGRID: ("DICT_APRILTAG_36h11",),
+    CIRCLES: ("",),
+    ASYMMETRIC_CIRCLES: ("",),
 }
+
+#: Usual sides of tags, or diameters of circles, in distances of their centres: Kalibr leaves 0.3 of a tag between tags,
+#: and OpenCV's circles are half a distance wide, asymmetric ones nearly a distance of rows.
+_USUAL_SHARES: Mapping[str, float] = {APRILGRID: 1.0 / 1.3, CIRCLES: 0.5, ASYMMETRIC_CIRCLES: 0.8}
 
 #: Side of a square if nothing limits it [mm].
 _SQUARE = 30
@@ -78,8 +104,13 @@ def design(
         raise CalibError(
             f"The pattern '{pattern}' is not known{did_you_mean(pattern, PATTERNS)}; allowed are {choices(PATTERNS)}."
         )
-    if pattern == CHESSBOARD and (marker is not None or dictionary is not None):
-        raise CalibError("A chessboard has no markers; leave out the marker and the dictionary.")
+    if pattern == BODY:
+        raise CalibError(
+            "A body of tags is described in a file, with the id and the corners of each tag; it is not drawn on a page."
+        )
+    for given, attribute in ((marker, "marker"), (dictionary, "dictionary")):
+        if given is not None and attribute not in PATTERNS[pattern]:
+            raise CalibError(f"The pattern {pattern} has no {attribute}; leave it out.")
     for count in (columns, rows):
         if count is not None and count < 1:
             raise CalibError(f"A board has 1 or more columns and rows, not {count}.")
@@ -92,12 +123,12 @@ def design(
         names = _DICTIONARIES[pattern]
         count = columns * rows // 2 if pattern == CHARUCO else columns * rows
         chosen = dictionary or names[-1]
-        if not dictionary and pattern != CHESSBOARD:
+        if not dictionary and names[0]:
             last = first_marker + count
             chosen = next((n for n in names if last <= DICTIONARIES[n].markers), names[-1])
         side = marker
         if side is None:
-            side = 0.0 if pattern == CHESSBOARD else _largest_marker(square, chosen)
+            side = _largest_marker(pattern, square, chosen)
         return Board(
             pattern=pattern,
             columns=columns,
@@ -177,15 +208,21 @@ def fitting_sheet(board: Board, paper: str) -> Sheet:
     )
 
 
-def _largest_marker(square: float, dictionary: str) -> float:
+def _largest_marker(pattern: str, square: float, dictionary: str) -> float:
     """Return the largest side m of a marker with one of its bits white around it [m]: m (1 + 2 / bits) <= square.
 
     The bits are those along a side, border included. m is rounded down to millimetres, a small one to tenths of them.
+    The tags of an aprilgrid, and circles, have a usual size; a chessboard has no markers.
     """
-    if dictionary not in DICTIONARIES:
-        return square / 2.0  # the board refuses the dictionary
-    bits = DICTIONARIES[dictionary].bits + 2
-    largest_mm = 1e3 * square / (1.0 + 2.0 / bits)
+    if pattern == CHESSBOARD:
+        return 0.0
+    if pattern in _USUAL_SHARES:
+        largest_mm = 1e3 * square * _USUAL_SHARES[pattern]
+    else:
+        known = dictionary_of(dictionary)
+        if known is None:
+            return square / 2.0  # the board refuses the dictionary
+        largest_mm = 1e3 * square / (1.0 + 2.0 / (known.bits + 2))
     if largest_mm < _FINE:
         return math.floor(10.0 * largest_mm + 1e-6) / 10.0 / 1e3
     return math.floor(largest_mm + 1e-6) / 1e3
@@ -202,12 +239,13 @@ def _most_squares(
     columns, rows = given
     smallest = make(columns or 3, rows or 3, square)
     across, down = margins(quiet_zone(smallest))
-    # There is no gap after the last tag of a row.
-    gap = square - smallest.marker if smallest.pattern == APRILTAG else 0.0
+    # There is no gap after the last tag or circle of a row.
+    gap = square - smallest.marker if smallest.pattern in (*TAGS, *ROUND) else 0.0
     best = given
     most = 0
     for width, height in sizes_of_paper(paper):
-        fitting_columns = math.floor((width - across + gap) / square + 1e-6)
+        step = 2.0 * square if smallest.pattern == ASYMMETRIC_CIRCLES else square
+        fitting_columns = math.floor((width - across + gap) / step + 1e-6)
         fitting_rows = math.floor((height - down + gap) / square + 1e-6)
         chosen_columns = columns or fitting_columns
         chosen_rows = rows or fitting_rows
@@ -218,7 +256,10 @@ def _most_squares(
                 chosen_rows -= 1
             else:
                 chosen_columns -= 1
-        fewest = 1 if smallest.pattern == APRILTAG else 3
+        if smallest.pattern == ASYMMETRIC_CIRCLES and rows is None:
+            # With an odd number of rows it is known which end is the first.
+            chosen_rows -= 1 - chosen_rows % 2
+        fewest = 1 if smallest.pattern in TAGS else 3
         counts = (chosen_columns, chosen_rows)
         is_board = min(counts) >= fewest and max(counts) <= _MOST
         fits = chosen_columns <= fitting_columns and chosen_rows <= fitting_rows

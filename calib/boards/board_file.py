@@ -15,16 +15,22 @@ from typing import Any
 from calib.basics.files import read_bytes
 from calib.basics.records import Key, keys_of, parse_toml, read_parts, toml_lines, toml_values
 from calib.basics.value_forms import TEXT
-from calib.boards.board import CHESSBOARD, PATTERNS, Board
+from calib.boards.board import CHARUCO, PATTERNS, Board
 from calib.errors import CalibError, FileError, choices
 
 #: Names the file of a board that the other keys of a table correct.
 _FILE = "file"
 _FILE_KEY = Key(_FILE, TEXT, "The name of a description that the other keys correct.", part=_FILE)
 
-#: Keys that every description needs, and those that it needs besides if the board has markers.
-_NEEDED = ("pattern", "columns", "rows", "square_mm")
-_NEEDED_FOR_MARKERS = ("marker_mm", "dictionary")
+#: Keys that a description needs besides its pattern, by the attributes of patterns that have them.
+_NEEDED = {
+    "columns": "columns",
+    "rows": "rows",
+    "square": "square_mm",
+    "marker": "marker_mm",
+    "dictionary": "dictionary",
+    "tags": "tags",
+}
 
 #: Attributes that only some patterns have.
 _OF_SOME_PATTERNS = frozenset().union(*PATTERNS.values())
@@ -95,9 +101,11 @@ def _board_of_keys(table: Mapping[str, Any], folder: str | Path) -> Board:
     file = values.pop(_FILE, None)
     if file is not None:
         return replace(read_board(Path(folder) / file), **values)
-    missing = [name for name in _NEEDED if name not in table]
-    if table.get("pattern") != CHESSBOARD:
-        missing += [name for name in _NEEDED_FOR_MARKERS if name not in table]
+    missing = [] if "pattern" in table else ["pattern"]
+    of_pattern = PATTERNS.get(str(table.get("pattern")), PATTERNS[CHARUCO])
+    missing += [
+        name for attribute, name in _NEEDED.items() if attribute in of_pattern and name not in table
+    ]
     if missing:
         raise CalibError(f"the description of a board lacks {choices(missing)}.")
     return Board(**values)

@@ -27,8 +27,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.values import Value
-from calib.boards.board import CHESSBOARD, Board
-from calib.boards.dictionaries import DICTIONARIES
+from calib.boards.board import APRILGRID, Board, cells_across
 from calib.boards.drawing import black_rectangles
 from calib.errors import CalibError, choices, did_you_mean
 
@@ -84,15 +83,16 @@ class Sheet:
 
 
 def module_size(board: Board) -> float:
-    """Return the side of one bit of a board's markers [m]; 0 for a chessboard."""
-    if board.pattern == CHESSBOARD:
-        return 0.0
-    return board.marker / (DICTIONARIES[board.dictionary].bits + 2)
+    """Return the side of one bit of a board's markers [m]; 0 without markers."""
+    return board.marker / cells_across(board) if board.markers else 0.0
 
 
 def quiet_zone(board: Board) -> float:
     """Return the white margin that a pattern needs around it, at least one bit of its markers [m]."""
-    least = _CHESSBOARD_QUIET if board.pattern == CHESSBOARD else _LEAST_QUIET
+    if board.pattern == APRILGRID:
+        # The small squares at the outermost corners, and as much white.
+        return 2.0 * (board.square - board.marker)
+    least = _LEAST_QUIET if board.markers else _CHESSBOARD_QUIET
     return max(least, module_size(board))
 
 

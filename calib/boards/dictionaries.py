@@ -1,14 +1,22 @@
 """Dictionaries of square markers: how many each has and of how many bits, named as OpenCV names them.
 
-The markers themselves are in OpenCV; their number is enough to check the description of a board.
+The markers themselves are in OpenCV; their number is enough to check the description of a board. OpenCV also makes
+dictionaries of any size from a seed (`extendDictionary`, `generateCustomDictionary`). Their names say how:
+
+    DICT_5X5_30_SEED_7                        30 markers of 5 x 5 bits, randomSeed 7
+    DICT_5X5_80_SEED_7_FROM_DICT_5X5_50       the same after the 50 markers of another dictionary: 80 in all
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
+from typing import Any
 
+from calib.boards.opencv import opencv
 from calib.errors import CalibError, choices, did_you_mean
 
 
@@ -66,9 +74,56 @@ KINDS: tuple[tuple[str, ...], ...] = (
 )
 
 
+#: The name of a dictionary made by OpenCV.
+_MADE = re.compile(r"DICT_([0-9]+)X\1_([0-9]+)_SEED_([0-9]+)(?:_FROM_(DICT_\w+))?")
+
+#: Fewest and most bits along a side of a marker that is made, and the most markers.
+_BITS = (3, 8)
+_MOST_MARKERS = 2000
+
+
+def dictionary_of(name: str) -> Dictionary | None:
+    """Return a dictionary by its name, or by that of one that OpenCV makes; None if there is none of this name."""
+    if name in DICTIONARIES:
+        return DICTIONARIES[name]
+    made = _MADE.fullmatch(name)
+    if made is None:
+        return None
+    bits, markers = int(made[1]), int(made[2])
+    base = DICTIONARIES.get(made[4]) if made[4] else Dictionary(bits, 0)
+    is_possible = _BITS[0] <= bits <= _BITS[1] and 1 <= markers <= _MOST_MARKERS
+    if base is None or base.bits != bits or base.markers >= markers or not is_possible:
+        return None
+    return Dictionary(bits, markers)
+
+
+@cache
+def opencv_dictionary(name: str) -> Any:  # noqa: ANN401  a value without types
+    """Return OpenCV's dictionary of markers by its name.
+
+    Args:
+        name: A name of `DICTIONARIES`, or of a dictionary that OpenCV makes.
+
+    Raises:
+        CalibError: There is no such dictionary, or this version of OpenCV does not have it, or is not installed.
+    """
+    cv2 = opencv()
+    made = _MADE.fullmatch(name)
+    if dictionary_of(name) is None or not (made or hasattr(cv2.aruco, name)):
+        raise CalibError(
+            f"OpenCV {cv2.__version__} has no dictionary of markers '{name}'; a newer one may: pip install "
+            "--upgrade opencv-python-headless"
+        )
+    if made is None:
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    bits, markers, seed = (int(made[k]) for k in (1, 2, 3))
+    base = opencv_dictionary(made[4]) if made[4] else cv2.aruco.Dictionary()
+    return cv2.aruco.extendDictionary(markers, bits, base, seed)
+
+
 def kind_of(dictionary: str) -> tuple[str, ...]:
     """Return the dictionaries whose first markers are those of a dictionary, itself included, the smallest first."""
-    return next(kind for kind in KINDS if dictionary in kind)
+    return next((kind for kind in KINDS if dictionary in kind), (dictionary,))
 
 
 def smallest_dictionary(kind: tuple[str, ...], largest_id: int) -> str:
@@ -91,12 +146,13 @@ def check_markers(name: str, first: int, count: int, where: str) -> None:
     Raises:
         CalibError: There is no such dictionary, or it is too small.
     """
-    if name not in DICTIONARIES:
+    dictionary = dictionary_of(name)
+    if dictionary is None:
         raise CalibError(
             f"{where} has markers of '{name}'; the dictionaries are "
-            f"{choices(DICTIONARIES, len(DICTIONARIES))}{did_you_mean(name, DICTIONARIES)}."
+            f"{choices(DICTIONARIES, len(DICTIONARIES))}{did_you_mean(name, DICTIONARIES)}, and those that OpenCV "
+            "makes by size and seed, such as DICT_5X5_30_SEED_7, or DICT_5X5_80_SEED_7_FROM_DICT_5X5_50."
         )
-    dictionary = DICTIONARIES[name]
     if first >= 0 and first + count <= dictionary.markers:
         return
     message = (

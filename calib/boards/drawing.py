@@ -11,9 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.boards.board import APRILTAG, Board, marker_outlines, white_squares
-from calib.boards.dictionaries import DICTIONARIES
+from calib.boards.board import (
+    APRILGRID,
+    APRILTAG,
+    BODY,
+    ROUND,
+    Board,
+    marker_outlines,
+    white_squares,
+)
+from calib.boards.dictionaries import opencv_dictionary
 from calib.boards.opencv import opencv
+from calib.errors import CalibError
+
+#: Height of the strips that a circle is drawn in, less than a dot of a printer [m], and their fewest number.
+_STRIP = 4e-5
+_FEWEST_STRIPS = 64
 
 #: Excess of a length over whole pixels that needs no further pixel [px].
 _ROUNDING = 1e-6
@@ -29,36 +42,63 @@ def black_rectangles(board: Board) -> Array:
         x and y of the upper left corner in the board's frame, width and height of each rectangle, shape (n, 4) [m].
 
     Raises:
-        CalibError: OpenCV, which has the markers, is not installed.
+        CalibError: OpenCV, which has the markers, is not installed; or it is a body.
     """
+    if board.pattern == BODY:
+        raise CalibError(f"'{board.name}' is a body, which is not drawn on a page.")
+    if board.pattern in ROUND:
+        return np.concatenate([_strips(centre, board.marker) for centre in board.corners[:, :2]])
     parts = []
-    if board.pattern != APRILTAG:
+    if board.pattern == APRILGRID:
+        # The small squares at all corners of tags, each as wide as the gap between tags.
+        gap = board.square - board.marker
+        column, row = (np.arange(count + 1) for count in (board.columns, board.rows))
+        corners = np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2) * board.square - gap
+        parts.append(np.column_stack([corners, np.full_like(corners, gap)]))
+    elif board.pattern != APRILTAG:
         row, column = np.nonzero(~white_squares(board))
         corners = np.column_stack([column, row]) * board.square
         parts.append(np.column_stack([corners, np.full_like(corners, board.square)]))
     for k, outline in enumerate(marker_outlines(board)):
-        rectangles = marker_rectangles(board.dictionary, board.first_marker + k) * board.marker
-        rectangles[:, :2] += outline[0]
+        bits = marker_rectangles(board.dictionary, board.first_marker + k, board.border)
+        rectangles = bits * board.marker
+        if board.pattern == APRILGRID:
+            # Turned by half a turn about the marker's middle.
+            rectangles[:, :2] = board.marker - rectangles[:, :2] - rectangles[:, 2:]
+        rectangles[:, :2] += outline.min(axis=0)
         parts.append(rectangles)
     return np.concatenate(parts)
 
 
-def marker_rectangles(dictionary: str, marker: int) -> Array:
+def _strips(centre: Array, diameter: float) -> Array:
+    """Return a disc about a centre (2,) as strips along x with its area: x, y, width and height, shape (n, 4) [m]."""
+    count = max(_FEWEST_STRIPS, int(np.ceil(diameter / _STRIP)))
+    edges = np.linspace(-1.0, 1.0, count + 1)
+    # The mean width of a strip is the integral of sqrt(1 - y^2) over its height.
+    area = edges * np.sqrt(1.0 - edges**2) + np.arcsin(edges)
+    half = np.diff(area) / np.diff(edges) / 2.0
+    radius = diameter / 2.0
+    x = centre[0] - radius * half
+    y = centre[1] + radius * edges[:-1]
+    return np.column_stack([x, y, 2.0 * radius * half, np.full(count, diameter / count)])
+
+
+def marker_rectangles(dictionary: str, marker: int, border: int = 1) -> Array:
     """Return the black parts of a marker of side 1: x, y, width and height of each run of bits along x, shape (n, 4).
 
     Args:
         dictionary: Name of the dictionary, ``"DICT_5X5_100"``.
         marker: Id of the marker.
+        border: Width of its black border [bits].
     """
-    aruco = opencv().aruco
-    side = DICTIONARIES[dictionary].bits + 2
-    markers = aruco.getPredefinedDictionary(getattr(aruco, dictionary))
-    image = aruco.generateImageMarker(markers, marker, side)
+    markers = opencv_dictionary(dictionary)
+    side = markers.markerSize + 2 * border
+    image = opencv().aruco.generateImageMarker(markers, marker, side, borderBits=border)
     runs = []
     for row, bits in enumerate(image == 0):
         edges = np.flatnonzero(np.diff(bits, prepend=False, append=False))
         runs += [(begin, row, end - begin, 1) for begin, end in edges.reshape(-1, 2)]
-    return np.array(runs) / side
+    return np.asarray(np.array(runs) / side)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,7 +51,8 @@ class Camera(Value):
     lens: str = key(
         "lens",
         one_of(tuple(LENSES)),
-        "Lens model: OpenCV's five coefficients (pinhole; ROS: plumb_bob), or cv2.fisheye (fisheye; ROS: equidistant).",
+        "Lens model: OpenCV's five coefficients (pinhole; ROS: plumb_bob), eight (rational; ROS: rational_polynomial), "
+        "or fourteen (tilted: with a thin prism and a tilted sensor), or cv2.fisheye (fisheye; ROS: equidistant).",
         default="pinhole",
     )
     #: The intrinsics in the order of ``LENSES[lens].names``: fx, fy, cx, cy [px], then distortion, shape (m,). None:

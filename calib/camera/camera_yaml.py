@@ -33,8 +33,13 @@ MODELS: Mapping[str, str] = ReadOnlyMapping(
     }
 )
 
-#: The name that ROS has for a lens model of calib.
-_ROS_MODEL = {"pinhole": "plumb_bob", "fisheye": "equidistant"}
+#: The name that ROS has for a lens model of calib. It hands the coefficients of a rational one to OpenCV, however many.
+_ROS_MODEL = {
+    "pinhole": "plumb_bob",
+    "fisheye": "equidistant",
+    "rational": "rational_polynomial",
+    "tilted": "rational_polynomial",
+}
 
 #: Names of keys, without case and underscores, in the order in which they are looked for.
 _KEYS = {
@@ -127,9 +132,8 @@ def camera_of_yaml(text: str, where: str) -> Camera:
 
     width = _pixels(table, "image_width", where)
     height = _pixels(table, "image_height", where)
-    lens = _lens_name(table, where)
     matrix = _numbers(table, "camera_matrix", where)
-    coefficients = _coefficients(table, lens, where)
+    lens, coefficients = _distortion(table, _lens_name(table, where), where)
     name = str(table.get("camera_name") or "camera")
     values = None
     if np.any(matrix):
@@ -215,31 +219,28 @@ def _lens_name(table: Mapping[str, Any], where: str) -> str:
     return MODELS[name]
 
 
-def _coefficients(table: Mapping[str, Any], lens: str, where: str) -> Array:
-    """Return the coefficients of distortion of calib's lens, shape (d,), zeros if the file has none or fewer.
+def _distortion(table: Mapping[str, Any], lens: str, where: str) -> tuple[str, Array]:
+    """Return calib's lens and its coefficients of distortion, shape (d,), zeros if the file has none or fewer.
 
-    CalibError if the file has other coefficients that are not zero.
+    ``lens`` is the one that the file names; a pinhole with more coefficients than five that are not zero is rational,
+    or tilted. CalibError for a number of coefficients that no lens has.
     """
     names = LENSES[lens].distortion
     if table.get("distortion_coefficients") is None:
-        return np.zeros(len(names))
+        return lens, np.zeros(len(names))
     given = _numbers(table, "distortion_coefficients", where)
     counts = _COUNTS[lens]
     if len(given) not in counts:
         raise CalibError(
             f"{where}: 'distortion_coefficients' has {len(given)} numbers; a lens '{lens}' has "
             f"{', '.join(map(str, counts[1:-1] or counts[1:]))}{f' or {counts[-1]}' if len(counts) > 2 else ''}: "
-            f"{', '.join(names)}, and then zeros."
+            f"{', '.join(LENSES['tilted' if lens == 'pinhole' else lens].distortion)}, the last ones left out or zero."
         )
-    higher = given[len(names) :]
-    if np.any(higher):
-        raise CalibError(
-            f"{where}: 'distortion_coefficients' has {len(given)} numbers, and those after the fifth are "
-            f"{higher.tolist()}: a rational or thin-prism model, which calib does not support; its '{lens}' has "
-            f"{', '.join(names)}. Calibrate with the plumb_bob model, or give the size of the images alone "
-            "(--camera 1280x720): then the intrinsics are estimated from the images."
-        )
-    return np.pad(given[: len(names)], (0, max(len(names) - len(given), 0)))
+    # The lens of the fewest coefficients that has all that are not zero.
+    larger = (lens, "rational", "tilted") if lens == "pinhole" else (lens,)
+    chosen = next(name for name in larger if not np.any(given[len(LENSES[name].distortion) :]))
+    count = len(LENSES[chosen].distortion)
+    return chosen, np.pad(given[:count], (0, max(count - len(given), 0)))
 
 
 # Writing

@@ -5,8 +5,14 @@ With x = X / Z and y = Y / Z of a point (X, Y, Z), the image is u = fx x' + cx, 
     pinhole   x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2),      r^2 = x^2 + y^2
               y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
     fisheye   (x', y') = (x, y) s / r,      s = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8),      a = atan(r)
+    rational  as pinhole, with the factor (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+    tilted    as rational, and x' + s1 r^2 + s2 r^4, y' + s3 r^2 + s4 r^4 (a thin prism) on a sensor that is tilted:
+              x'' = c w_x / w_z + sin(ty) cos(tx),  y'' = c w_y / w_z - sin(tx),  c = cos(tx) cos(ty),
+              w = R_y(ty) R_x(tx) (x', y', 1)
 
-as OpenCV and ROS define them ("plumb_bob", "equidistant"); sources: D. C. Brown, Close-range camera calibration, 1971;
+as OpenCV and ROS define them ("plumb_bob", "equidistant", "rational_polynomial"; of 5, 4, 8 and 14 coefficients), with
+OpenCV's R_x(t) = [1 0 0; 0 cos t, sin t; 0, -sin t, cos t] and R_y(t) = [cos t, 0, -sin t; 0 1 0; sin t, 0, cos t];
+sources: D. C. Brown, Close-range camera calibration, 1971;
 J. Kannala, S. Brandt, A generic camera model, 2006. A new lens is one row of `LENSES`.
 """
 
@@ -40,6 +46,9 @@ _CENTRE = 0.005
 #: Standard deviation of radial and of tangential coefficients of distortion, if they are given without one.
 _RADIAL = 0.02
 _TANGENTIAL = 0.002
+
+#: Standard deviation of the tilt of a sensor that is given without one: half a degree [rad].
+_TILT = 0.01
 
 #: Maximum number of Newton iterations when undistorting, and the step below which they stop.
 _ITERATIONS = 50
@@ -157,13 +166,14 @@ class Lens:
 
         Returns:
             shape (m,), in the unit of each: 1 % of the focal lengths, 0.5 % of the width for the centre, 0.02 for
-            radial coefficients, 0.002 for tangential ones.
+            radial coefficients, 0.002 for tangential ones and those of a prism, 0.01 rad for a tilt.
         """
         sigma = np.full(len(self.names), _RADIAL)
         sigma[:2] = _FOCAL * np.abs(values[:2])
         sigma[2:4] = _CENTRE * width
-        tangential = [name.startswith("p") for name in self.names]
+        tangential = [name.startswith(("p", "s")) for name in self.names]
         sigma[tangential] = _TANGENTIAL
+        sigma[[name.startswith("tau") for name in self.names]] = _TILT
         return sigma
 
 
@@ -240,9 +250,122 @@ def _fisheye_ratio(normalised: Array, coefficients: Array) -> tuple[Array, Array
     return ratio, by_angle / (1.0 + r**2), angle
 
 
+# Rational, with a thin prism and a tilt
+
+#: Number of coefficients of the lens with all of them, of which others have the first.
+_ALL = 14
+
+
+def _distort_tilted(normalised: Array, coefficients: Array) -> Array:
+    """Return normalised coordinates X / Z, Y / Z, shape (2, n), distorted by the first d of 14 coefficients (d, n)."""
+    numbers = _all(coefficients)
+    return _tilt(_in_plane(normalised, numbers), *numbers[12:])[0]
+
+
+def _in_plane(normalised: Array, numbers: Array) -> Array:
+    """Return normalised coordinates (2, n) distorted by all coefficients (14, n) but the tilt, shape (2, n)."""
+    p1, p2 = numbers[2:4]
+    s1, s2, s3, s4 = numbers[8:12]
+    x, y = normalised
+    rr = x**2 + y**2
+    numerator, denominator = _rational(rr, numbers)
+    factor = numerator / denominator
+    return np.array(
+        [
+            x * factor + 2.0 * p1 * x * y + p2 * (rr + 2.0 * x**2) + rr * (s1 + rr * s2),
+            y * factor + p1 * (rr + 2.0 * y**2) + 2.0 * p2 * x * y + rr * (s3 + rr * s4),
+        ]
+    )
+
+
+def _tilted_slopes(normalised: Array, coefficients: Array) -> tuple[Array, Array]:
+    """Return the derivatives of the distorted coordinates by the given ones, (2, 2, n), and by d coefficients."""
+    numbers = _all(coefficients)
+    p1, p2 = numbers[2:4]
+    s1, s2, s3, s4 = numbers[8:12]
+    x, y = normalised
+    rr = x**2 + y**2
+    k1, k2, k3, k4, k5, k6 = numbers[[0, 1, 4, 5, 6, 7]]
+    numerator, denominator = _rational(rr, numbers)
+    factor = numerator / denominator
+    # Of the factor and of the prism, by r^2.
+    slope = k1 + rr * (2.0 * k2 + rr * 3.0 * k3) - factor * (k4 + rr * (2.0 * k5 + rr * 3.0 * k6))
+    slope = slope / denominator
+    prism_x, prism_y = s1 + 2.0 * rr * s2, s3 + 2.0 * rr * s4
+    mixed = 2.0 * (x * y * slope + p1 * x + p2 * y)
+    by_normalised = np.array(
+        [
+            [
+                factor + 2.0 * x**2 * slope + 2.0 * p1 * y + 6.0 * p2 * x + 2.0 * x * prism_x,
+                mixed + 2.0 * y * prism_x,
+            ],
+            [
+                mixed + 2.0 * x * prism_y,
+                factor + 2.0 * y**2 * slope + 6.0 * p1 * y + 2.0 * p2 * x + 2.0 * y * prism_y,
+            ],
+        ]
+    )
+    powers = np.array([rr, rr**2, rr**3])
+    zeros = np.zeros((2, len(rr)))
+    above = normalised[:, None] * powers / denominator
+    below = -normalised[:, None] * powers * factor / denominator
+    tangential = np.array([[2.0 * x * y, rr + 2.0 * x**2], [rr + 2.0 * y**2, 2.0 * x * y]])
+    prism = np.array([[rr, rr**2, *zeros], [*zeros, rr, rr**2]])
+    by_numbers = np.concatenate([above[:, :2], tangential, above[:, 2:], below, prism], axis=1)
+
+    _, by_plane, by_tilt = _tilt(_in_plane(normalised, numbers), *numbers[12:])
+    by_coefficients = np.einsum("abn,bcn->acn", by_plane, by_numbers)
+    by_all = np.concatenate([by_coefficients, by_tilt], axis=1)
+    return np.einsum("abn,bcn->acn", by_plane, by_normalised), by_all[:, : len(coefficients)]
+
+
+def _all(coefficients: Array) -> Array:
+    """Return all coefficients, shape (14, n), of which the first (d, n) are given; the others are zero."""
+    return np.pad(coefficients, ((0, _ALL - len(coefficients)), (0, 0)))
+
+
+def _rational(rr: Array, numbers: Array) -> tuple[Array, Array]:
+    """Return numerator and denominator of the radial factor at squares of radii (n,), by all coefficients (14, n)."""
+    k1, k2, _, _, k3, k4, k5, k6 = numbers[:8]
+    return 1.0 + rr * (k1 + rr * (k2 + rr * k3)), 1.0 + rr * (k4 + rr * (k5 + rr * k6))
+
+
+def _tilt(points: Array, tau_x: Array, tau_y: Array) -> tuple[Array, Array, Array]:
+    """Return points (2, n) on a sensor tilted by angles (n,) [rad], and their derivatives by the points and the angles.
+
+    The derivatives have the shapes (2, 2, n) and (2, 2, n).
+    """
+    x, y = points
+    cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
+    zero = np.zeros_like(x)
+    w = np.array([cy * x + sy * sx * y - sy * cx, cx * y + sx, sy * x - cy * sx * y + cy * cx])
+    c = cy * cx
+    ratio = w[:2] / w[2]
+    tilted = c * ratio + np.array([sy * cx, -sx])
+
+    # Derivatives of w by x, y, tau_x and tau_y, of c, and of what is added.
+    w_by = np.array(
+        [
+            [cy, sy * sx, sy * cx * y + sy * sx, -sy * x + cy * sx * y - cy * cx],
+            [zero, cx, -sx * y + cx, zero],
+            [sy, -cy * sx, -cy * cx * y - cy * sx, cy * x + sy * sx * y - sy * cx],
+        ]
+    )
+    c_by = np.array([zero, zero, -cy * sx, -sy * cx])
+    added_by = np.array([[zero, zero, -sy * sx, cy * cx], [zero, zero, -cx, zero]])
+    ratio_by = (w_by[:2] - ratio[:, None] * w_by[2]) / w[2]
+    by = c * ratio_by + ratio[:, None] * c_by + added_by
+    return tilted, by[:, :2], by[:, 2:]
+
+
+_RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_TILTED = (*_RATIONAL, "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+
 _ROWS = (
     Lens("pinhole", ("k1", "k2", "p1", "p2", "k3"), _distort_pinhole, _pinhole_slopes),
     Lens("fisheye", ("k1", "k2", "k3", "k4"), _distort_fisheye, _fisheye_slopes),
+    Lens("rational", _RATIONAL, _distort_tilted, _tilted_slopes),
+    Lens("tilted", _TILTED, _distort_tilted, _tilted_slopes),
 )
 
 #: Lens models by name.

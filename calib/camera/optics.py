@@ -21,7 +21,8 @@ from calib.basics.arrays import Array, Integers
 from calib.camera.lenses import LENSES, Lens
 from calib.camera.planar_pose import planar_poses
 
-#: Intrinsics; a lens that has fewer leaves the last ones at zero.
+#: The first intrinsics, those that lenses of five coefficients or fewer have; one that has fewer leaves the last ones
+#: at zero. `intrinsic_columns` also has those beyond them.
 INTRINSICS = slice(0, 9)
 
 #: The two focal lengths among them [px].
@@ -52,8 +53,17 @@ CORNER = 21
 CAMERA = 22
 BOARD = 23
 
+#: Further intrinsics of lenses that have more; the columns of all other numbers are those of results in files.
+_FURTHER = slice(24, 33)
+
 #: Columns of an array of optics.
-COUNT = 24
+COUNT = 33
+
+
+def intrinsic_columns(lens: Lens) -> Integers:
+    """Return the columns of the m intrinsics of a lens in an array of optics, in the order of its names, shape (m,)."""
+    columns = np.arange(COUNT)
+    return np.concatenate([columns[INTRINSICS], columns[_FURTHER]])[: len(lens.names)]
 
 
 def board_points(optics: Array) -> Array:
@@ -106,7 +116,7 @@ def image_derivatives(T_camera_board: Array, twists: Array, optics: Array) -> tu
     for lens, rows in _by_lens(optics):
         values = _intrinsics(lens, optics[rows])
         by_point[rows], by_values = lens.derivatives(points[rows], values)
-        by_optics[rows, :, : len(lens.names)] = by_values
+        by_optics[rows[:, None, None], np.arange(2)[:, None], intrinsic_columns(lens)] = by_values
     by_board_point = by_point @ T_camera_board[:, :3, :3]
     designed = optics[:, POINT]
     by_optics[:, :, SCALE] = by_board_point[:, :, :2] * designed[:, None, :2]
@@ -136,7 +146,7 @@ def view_poses(views: Sequence[tuple[Array, Array]]) -> list[Array | None]:
         of_camera = views[numbers[0]][1][0]
         lens = list(LENSES.values())[int(of_camera[LENS])]
         corners = [(board_points(views[k][1]), views[k][0]) for k in numbers]
-        poses = planar_poses(corners, lens, of_camera[: len(lens.names)])
+        poses = planar_poses(corners, lens, of_camera[intrinsic_columns(lens)])
         for k, pose in zip(numbers, poses, strict=True):
             result[k] = None if pose is None else pose.T_camera_board
     return result
@@ -175,4 +185,4 @@ def _by_lens(optics: Array) -> Iterator[tuple[Lens, Integers]]:
 
 def _intrinsics(lens: Lens, optics: Array) -> Array:
     """Return the m intrinsics of a lens from optics (n, `COUNT`), shape (n, m)."""
-    return optics[:, : len(lens.names)]
+    return optics[:, intrinsic_columns(lens)]

@@ -72,6 +72,7 @@ from calib.data.cell_keys import (
     board_keys,
     by_name,
     camera_keys,
+    frame_option,
     link_options,
     pose_form,
     pose_keys,
@@ -188,7 +189,10 @@ class Cell(Value):
         "all on one link.",
         default_factory=ReadOnlyMapping,
         absent="`base` for all",
-        option=tuple(replace(o, parse=words_by_name, merge=add_entries) for o in _BASE_OPTIONS),
+        option=tuple(
+            replace(option, parse=words_by_name, merge=add_entries)
+            for option in (*_BASE_OPTIONS, frame_option(0))
+        ),
     )
     #: Tip link; None: left to the command line or the URDF.
     tip: str | None = key(
@@ -207,13 +211,15 @@ class Cell(Value):
         "link.",
         default_factory=ReadOnlyMapping,
         absent="`tip` for all",
-        option=tuple(replace(o, parse=words_by_name, merge=add_entries) for o in _TIP_OPTIONS),
+        option=tuple(
+            replace(option, parse=words_by_name, merge=add_entries) for option in _TIP_OPTIONS
+        ),
     )
     #: Robots besides the first one, by name, which begins the names of their links and joints: ``right/tool0``.
     robots: Mapping[str, FurtherRobot] = key(
         "robots",
         named(table_of(FurtherRobot)),
-        "Robots besides the first one, see below.",
+        "Robots besides the first one, see [several chains](several-chains.md).",
         default_factory=ReadOnlyMapping,
         absent="none",
         option=Option(
@@ -285,13 +291,7 @@ class Cell(Value):
         "estimated.",
         default=False,
         absent='"known"',
-        option=Option(
-            "--frame",
-            metavar="known|estimate|LIST",
-            help="Measurement frame. 'known' (the default): the points are in the base frame. 'estimate': they are in "
-            'any fixed frame, such as the tracker\'s. A list such as "x,y,rz": the frame is known except for these '
-            "directions.",
-        ),
+        option=frame_option(0),
     )
     #: Directions, of `DIRECTIONS` along the axes of the base, that are estimated if frames are.
     frame_directions: tuple[str, ...] = key(
@@ -299,6 +299,7 @@ class Cell(Value):
         FRAME_DIRECTIONS,
         "",
         default=DIRECTIONS,
+        option=frame_option(1),
         check=ARE_DIRECTIONS,
     )
     #: shape (4, 4), pose of the base in the measurement frame [m]. None: not given; then it is

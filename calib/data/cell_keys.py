@@ -173,6 +173,38 @@ def frame_of(value: str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
     return True, tuple(words)
 
 
+def _typed_frame(typed: str | Iterable[str], flag: str) -> tuple[bool, tuple[str, ...]] | None:
+    """Read what is typed of the measurement frame, as `frame_of`; None if it is only where frames stand, NAME=LINK."""
+    words = [word for word in _words(typed) if "=" not in word]
+    if not words:
+        return None
+    given = words[0] if len(words) == 1 else ",".join(words)
+    try:
+        return frame_of(given)
+    except ValueError as error:
+        raise CalibError(f"{flag} is '{given}'; it must be {_FRAME}.") from error
+
+
+def frame_option(part: int) -> Option:
+    """Return the option of the measurement frame, for one of the fields that `frame_of` gives, 0 or 1."""
+
+    def parse(typed: str | Iterable[str], flag: str) -> bool | tuple[str, ...] | None:
+        """Return the part that is typed; None if nothing is typed of it."""
+        frame = _typed_frame(typed, flag)
+        return None if frame is None else frame[part]
+
+    return Option(
+        "--frame",
+        metavar="known|estimate|LIST|NAME=LINK",
+        type=list[str],
+        help="Measurement frame. 'known' (the default): the points are in the base frame. 'estimate': they are in "
+        'any fixed frame, such as the tracker\'s. A list such as "x,y,rz": the frame is known except for these '
+        "directions. NAME=LINK: the frame of that station stands on a link, as by --base.",
+        parse=parse,
+        merge=lambda of_file, typed: of_file if typed is None else typed,
+    )
+
+
 _FRAME = f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its pose is frame_xyz_mm and frame_rpy_deg"
 FRAME_ESTIMATED = form(_FRAME, lambda value: frame_of(value)[0])
 FRAME_DIRECTIONS = form(_FRAME, lambda value: frame_of(value)[1])

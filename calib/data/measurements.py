@@ -134,6 +134,8 @@ class Measurements(Value):
     copies: tuple[int, ...] = ()
     #: Names of the joints whose readings were brought back into the limits by `calib.data.whole_turns.brought_back`.
     turned: tuple[str, ...] = ()
+    #: Pictures whose corners were numbered from the other end of a board that looks the same from both.
+    other_end: tuple[str, ...] = ()
     #: Unit in which the file gave joint values and points, by the column's name: ``{"joint_1": "deg", "x": "mm"}``;
     #: empty without a file.
     units: Mapping[str, str] = field(default_factory=dict)
@@ -164,7 +166,15 @@ class Measurements(Value):
         check_argument_types(self)
         fill = partial(object.__setattr__, self)
         count = len(np.asarray(self.points))
-        for name in ("joint_names", "prismatic", "ignored", "unmeasured", "copies", "turned"):
+        for name in (
+            "joint_names",
+            "prismatic",
+            "ignored",
+            "unmeasured",
+            "copies",
+            "turned",
+            "other_end",
+        ):
             fill(name, tuple(getattr(self, name)))
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, (_, word) in WORD_COLUMNS.items():

@@ -319,10 +319,15 @@ def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
         slides. None if no joint moved.
     """
     robot, rows = fitted.task.robot, fitted.estimate.problem.rows
-    q = rows.joints[fitted.estimate.weights > 0.0]
-    measured_tips = robot.poses(q)[:, :3, 3]
-    possible_tips = robot.poses(spread_poses(robot))[:, :3, 3]
-    spread = spread_of(measured_tips, possible_tips)
+    weighted = fitted.estimate.weights > 0.0
+    q = rows.joints[weighted]
+    spreads = []
+    for number, chain in enumerate(robot.chains):
+        of_chain = rows.select(weighted).samples.rows_of_chain(number)
+        if len(of_chain):
+            possible_tips = chain.poses(spread_poses(robot))[:, :3, 3]
+            spreads.append(spread_of(chain.poses(q[of_chain])[:, :3, 3], possible_tips))
+    spread = min(spreads, default=0.0)
     values = robot.input_values(q)
     shares = shares_of_ranges(values, column_ranges(robot), [j.type for j in robot.inputs])
 
@@ -420,7 +425,8 @@ class Views:
         middle = sums / count[:, None]
         sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         cosine = np.abs(np.sum(sight * T_camera_board[first, :3, 2], axis=1))
-        R_base_tip = fitted.task.robot.poses(images.joints[first])[:, :3, :3]
+        chain = images.samples.select(first).chain
+        R_base_tip = fitted.task.robot.poses(images.joints[first], chain)[:, :3, :3]
         return cls(count, np.arccos(np.minimum(cosine, 1.0)), R_base_tip)
 
 

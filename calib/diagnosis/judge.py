@@ -65,9 +65,9 @@ def judge(evidence: Evidence) -> Verdict:
         *_applicable((turned, Reason.of(Why.ORIENTATION_ABSURD, after=after))),
     ]
     if absurd:
-        # Joint values that are late may be the cause, which their effect on held-out rows shows.
-        late = [doubt for doubt in evidence.doubts if doubt.why is Why.JOINTS_LATE]
-        return Verdict(NO, (*late, absurd[0]))
+        # Joint values that are late may be the cause, which their effect on held-out rows shows; or pictures.
+        causes = [doubt for doubt in evidence.doubts if _may_cause_any_error(doubt)]
+        return Verdict(NO, (*causes, absurd[0]))
 
     against = _against(evidence)
     care = _care(evidence, against)
@@ -108,10 +108,16 @@ def judge(evidence: Evidence) -> Verdict:
     hanging = [reason for reason in against if reason.why.role is Role.AGAINST]
     wrong_input = [reason for reason in against if reason not in hanging]
     alone = [reason for reason in care if reason.why is Why.SOLE_POSTURE]
-    care = [reason for reason in care if reason not in alone]
+    of_pictures = [reason for reason in care if reason.why.group is Group.PICTURES]
+    care = [reason for reason in care if reason not in (*alone, *of_pictures)]
     information = _doubts(evidence, Role.INFORMATION)
     others = (*gains, *improvements, *information, *evidence.notes)
-    return Verdict(use, (*wrong_input, *alone, *hanging, *care, *others))
+    return Verdict(use, (*of_pictures, *wrong_input, *alone, *hanging, *care, *others))
+
+
+def _may_cause_any_error(doubt: Reason) -> bool:
+    """Return whether a doubt is about what an error of any size may come from: late joints, or pictures."""
+    return doubt.why is Why.JOINTS_LATE or doubt.why.group is Group.PICTURES
 
 
 def absurd_noise(noise: Mapping[str, float]) -> Reason | None:

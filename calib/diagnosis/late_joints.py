@@ -25,7 +25,7 @@ from calib.diagnosis.augmented_fit import (
 )
 from calib.diagnosis.computed import ROUNDING_NOISE
 from calib.diagnosis.reasons import Reason, Why
-from calib.diagnosis.residual_patterns import displacements_of
+from calib.diagnosis.residuals import displacements_of
 from calib.fit.estimate.fitting import Fitted
 from calib.numerics.errors import rms
 

@@ -219,12 +219,17 @@ class Step:
 
     #: The first displaced row, from 0
     row: int
-    #: Norm of the displacement, in the unit of the directions
-    size: float
+    #: (k,), the displacement, in the units of the directions
+    by: Array
     #: The p-value is corrected for the number of rows tried
     test: Explained
     #: (M, k), its regressors
     Z: Array
+
+    @property
+    def size(self) -> float:
+        """Norm of the displacement."""
+        return float(np.linalg.norm(self.by))
 
 
 def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
@@ -266,7 +271,7 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
     Z = regressors(best)
     return Step(
         row=int(rows[best]),
-        size=float(np.linalg.norm(_fit_beside(stack, Z))),
+        by=_fit_beside(stack, Z),
         test=replace(tried[best], p=corrected),
         Z=Z,
     )

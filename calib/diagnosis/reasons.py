@@ -48,6 +48,8 @@ class Group(Enum):
     NOT_NOISE = auto()
     #: Better measurements may show a gain after all
     NOT_SEEN = auto()
+    #: Mistakes of some pictures, which are stated before all else
+    PICTURES = auto()
 
 
 class Why(str, Enum):
@@ -169,6 +171,10 @@ class Why(str, Enum):
     SETUP_FLAGGED = "setup_flagged", Role.CARE
 
     # Images of a board
+    PICTURES_TURNED = "pictures_turned", Role.GIVEN, Group.PICTURES
+    PICTURES_EXCHANGED = "pictures_exchanged", Role.GIVEN, Group.PICTURES
+    CAMERA_MOVED = "camera_moved", Role.GIVEN, Group.PICTURES
+    CAMERA_REFOCUSED = "camera_refocused", Role.GIVEN, Group.PICTURES
     SENSE_REVERSED = "sense_reversed", Role.WRONG_INPUT
     SENSE_UNKNOWN = "sense_unknown", Role.CARE
     FOCAL_LENGTH_OFF = "focal_length_off", Role.GIVEN
@@ -191,6 +197,8 @@ class Why(str, Enum):
     ALREADY_CORRECTED = "already_corrected", Role.INFORMATION
     ROWS_COPIED = "rows_copied", Role.INFORMATION
     READINGS_TURNED = "readings_turned", Role.INFORMATION
+    OTHER_END = "other_end", Role.INFORMATION
+    CORNERS_THINNED = "corners_thinned", Role.INFORMATION
     DRIFT_REMOVED = "drift_removed", Role.INFORMATION
     SIGMA_UNLIKELY = "sigma_unlikely", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION

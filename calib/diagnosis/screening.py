@@ -42,7 +42,10 @@ def screened_errors(robot: Robot, setup: Setup, rows: Rows, q: Array, points: Ar
     step = max(1, _CHUNK // count)
     for first in range(0, trials, step):
         part = slice(first, first + step)
-        T = robot.poses(q[part].reshape(-1, columns)).reshape(-1, count, 4, 4)
+        tried = q[part]
+        chain = rows.samples.chain
+        chains = None if chain is None else np.tile(chain, len(tried))
+        T = robot.poses(tried.reshape(-1, columns), chains).reshape(-1, count, 4, 4)
         errors[part] = errors_of_tips(setup, rows, T, points[part])
     return errors
 

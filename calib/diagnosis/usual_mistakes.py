@@ -399,11 +399,14 @@ def _seen_cell(cell: Cell, table: Measurements) -> Cell:
 
 
 def _some_rows(table: Measurements) -> Measurements:
-    """Copy a table with at most `_ROWS` of its rows, evenly over it."""
-    count = min(len(table), _ROWS)
-    numbers = np.linspace(0, len(table) - 1, count).astype(int)
+    """Copy a table with at most about `_ROWS` of its rows, evenly over those of each station and target."""
+    labels = [*zip(table.groups, table.targets, strict=True)]
+    share = min(_ROWS / max(len(table), 1), 1.0)
     chosen = np.zeros(len(table), dtype=bool)
-    chosen[numbers] = True
+    for label in dict.fromkeys(labels):
+        rows = np.flatnonzero([other == label for other in labels])
+        count = min(max(round(share * len(rows)), _FEWEST_ROWS_OF_FRAME), len(rows))
+        chosen[rows[np.linspace(0, len(rows) - 1, count).astype(int)]] = True
     return table.select(chosen)
 
 
@@ -687,7 +690,7 @@ def _with_nearest_values(robot: Robot, setup: Setup, rows: Rows, joint: int, rea
     changes = np.linspace(-reach, reach, _TRIED)
     q[:, joint] += np.tile(changes, len(rows))
     repeated = rows.select(np.repeat(every, _TRIED))
-    seen = registered.sightings(robot.poses(q), repeated.samples)
+    seen = registered.sightings(robot.poses(q, repeated.samples.chain), repeated.samples)
     squares = np.sum(repeated.residual(seen) ** 2, axis=1)
     nearest = np.argmin(squares.reshape(-1, _TRIED), axis=1)
     return with_joints(rows, q[every * _TRIED + nearest])

@@ -471,8 +471,7 @@ def corner_internals(camera: Camera, board: Board) -> Array:
         Shape (c, `calib.camera.optics.COUNT`), read-only.
     """
     values = np.zeros((len(board.corners), optics.COUNT))
-    lens = intrinsics(camera)
-    values[:, : len(lens)] = lens
+    values[:, optics.intrinsic_columns(LENSES[camera.lens])] = intrinsics(camera)
     values[:, optics.LENS] = list(LENSES).index(camera.lens)
     values[:, optics.POINT] = board.corners
     values[:, optics.ACROSS] = optics.across(board.corners, board.centre, board.size)

@@ -250,12 +250,13 @@ def _camera_numbers(
     else:
         sigma = np.minimum(camera.sigma, widest)
     values = np.zeros((len(points), optics.COUNT))
-    values[:, : len(start)] = start
+    columns = optics.intrinsic_columns(lens)
+    values[:, columns] = start
     values[:, optics.CAMERA] = owner.number
     values[:, optics.LENS] = list(LENSES).index(camera.lens)
     unknowns = []
     for k in np.flatnonzero(sigma > 0.0).tolist():
-        parameter = _parameter(lens.names[k], lens.units[k], owner, CAMERA, k)
+        parameter = _parameter(lens.names[k], lens.units[k], owner, CAMERA, int(columns[k]))
         parameter = replace(parameter, nominal=float(start[k]))
         unknowns.append(InternalUnknown(parameter, 0.0, float(sigma[k])))
     return values, unknowns

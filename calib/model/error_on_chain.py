@@ -26,13 +26,13 @@ def model_on_chain(model: ErrorModel, robot: Robot, chain: Robot) -> ErrorModel:
 
     Args:
         model: Errors of the limbs of ``robot``, see `calib.model.parameter_sets.error_model`.
-        robot: The robot; without branches and mounts the model stays as it is.
+        robot: The robot; if it is no tree, the model stays as it is.
         chain: One of its ``chains``.
 
     Returns:
         The model, its places those of ``chain``, its terms in the order in which they act there.
     """
-    if not robot.branches and not robot.mounts:
+    if not robot.is_tree:
         return model
     of_limbs = {*(joint.name for joint in robot.all_joints), *robot.mounts}
     at_origin: dict[str, list[int]] = {}

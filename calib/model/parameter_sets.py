@@ -53,7 +53,7 @@ OWN = "own"
 #: Names that no set may have: ``auto``, the choice by the data, and `OWN`.
 _RESERVED = ("auto", OWN)
 
-#: Sets whose parameters are those of numbered DH rows, of which a robot with branches has none.
+#: Sets whose parameters are those of numbered DH rows, of which a tree has none.
 OF_ONE_CHAIN = ("paper", "dh", "hayati")
 
 #: An axis within this angle of a coordinate axis counts as that [rad].
@@ -145,7 +145,7 @@ def error_model(
 def _robot_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tuple[Parameter, ...]:
     """Return the parameters of the robot itself by the model's name; folds, candidates and trials ask repeatedly."""
     set_name, families = split_name(name)
-    if robot.branches and set_name in OF_ONE_CHAIN:
+    if robot.is_tree and set_name in OF_ONE_CHAIN:
         raise ModelError(
             f"The parameter set '{set_name}' numbers the DH rows of one chain, but '{robot.name}' has "
             f"{len(robot.limbs)} limbs, to {choices(limb.tip for limb in robot.limbs)}. Choose --model placement, "

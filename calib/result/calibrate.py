@@ -19,11 +19,14 @@ from calib.data.cell import AUTO, Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import PREDICTS
+from calib.diagnosis.camera_changes import changes_between_pictures
 from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
+from calib.diagnosis.picture_mistakes import mistakes_of_pictures
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
 from calib.errors import ModelError
 from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.registration.board_ends import numbered_from_one_end
 from calib.fit.registration.mounts import with_mounts_found
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.registration.table_rows import rows_and_setup
@@ -44,6 +47,17 @@ from calib.result.parts import FitInMemory, Method, Noise, Outlier, ResultRows, 
 from calib.result.result_optics import result_optics
 from calib.result.table_fits import TableFits, fit_table
 from calib.robot.flange import is_flange_robot
+from calib.robot.robot import Robot
+
+#: Corners to estimate from that are all fitted.
+_MANY_CORNERS = 1500
+
+#: Of more about this number is, evenly over the pictures, and the fewest of a picture: twice those of a pose, and some.
+_ENOUGH_CORNERS = 1200
+_FEWEST_CORNERS = 12
+
+#: Steps of this share of the corners are spread evenly, however many pictures there are.
+_GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 
 
 @one_blas_thread()
@@ -102,7 +116,19 @@ def calibrate(
     if arm.mounts:
         rows, setup = rows_and_setup(arm, measured, stated)
         arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
-    fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
+    measured = numbered_from_one_end(arm, measured, stated)
+    measured, found, wrong = _without_mistakes_of_pictures(arm, stated, measured)
+    measured, thinned = _with_fewer_corners(measured)
+    found += thinned
+    fits = fit_table(
+        arm,
+        measured,
+        stated,
+        model=model,
+        solver=solver,
+        robust=robust,
+        mistake=wrong,
+    )
     drift = None
     if validate and not fits.mistake:
         drift = _found_drift(measured, fits)
@@ -116,7 +142,54 @@ def calibrate(
         result = _assemble(measured, fits)
         absurd = absurd_noise(result.noise.sigma)
         return result if absurd is None else _with_verdict_against(result, absurd)
-    return _assemble_validated(measured, fits, progress, drift)
+    before = list(found)
+    if drift is not None:
+        before.append(Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))))
+    return _assemble_validated(measured, fits, progress, tuple(before))
+
+
+def _without_mistakes_of_pictures(
+    robot: Robot, cell: Cell, measurements: Measurements
+) -> tuple[Measurements, tuple[Reason, ...], Reason | None]:
+    """Leave out the pictures that a mistake explains, and return these mistakes; and one of all rows, None without."""
+    found: list[Reason] = []
+    for find in (mistakes_of_pictures, changes_between_pictures):
+        findings = find(robot, cell, measurements)
+        for finding in findings:
+            if not finding.rows:
+                return measurements, tuple(found), finding.reason
+            found.append(finding.reason)
+        left_out = [row for finding in findings for row in finding.rows]
+        if left_out:  # the other pictures tell the robot
+            measurements = measurements.select(~np.isin(measurements.rows, left_out))
+    return measurements, tuple(found), None
+
+
+def _with_fewer_corners(measurements: Measurements) -> tuple[Measurements, tuple[Reason, ...]]:
+    """Keep some corners of each picture if those to estimate from are very many, and say so; validation rows stay.
+
+    Those of one picture share the robot's error there, and a dozen determine where the board is. Each corner of the
+    board is kept as often as any other.
+    """
+    m = measurements
+    fitted = m.is_image & m.estimation
+    if np.sum(fitted) <= _MANY_CORNERS:
+        return m, ()
+    labels = [*zip(m.images, m.groups, m.targets, (q.tobytes() for q in m.joints), strict=True)]
+    views: dict[tuple[str, str, str, bytes], list[int]] = {}
+    for row in np.flatnonzero(fitted).tolist():
+        views.setdefault(labels[row], []).append(row)
+    each = max(_ENOUGH_CORNERS // len(views), _FEWEST_CORNERS)
+    kept = ~fitted
+    for k, rows in enumerate(views.values()):
+        count = min(each, len(rows))
+        places = (np.arange(count) + k * _GOLDEN_RATIO % 1.0) * len(rows) / count
+        kept[np.array(rows)[places.astype(int)]] = True
+    left = int(np.sum(kept & fitted))
+    if left == np.sum(fitted):
+        return m, ()
+    reason = Reason.of(Why.CORNERS_THINNED, corners=int(np.sum(fitted)), kept=left)
+    return m.select(kept), (reason,)
 
 
 def _of_flange_poses(cell: Cell, model: str | Sequence[Parameter] | None) -> Cell:
@@ -169,11 +242,11 @@ def _assemble_validated(
     measurements: Measurements,
     fits: TableFits,
     progress: Progress | None,
-    drift: Array | None = None,
+    found: tuple[Reason, ...] = (),
 ) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdicts.
 
-    ``drift``, (3,) [m], was taken out of the measurements, which is stated; None: nothing was.
+    ``found`` is what was found before the fit, such as a drift that was taken out of the measurements.
 
     A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
     the next candidates are tried, and none stays if none does. One that the user named stays.
@@ -221,10 +294,7 @@ def _assemble_validated(
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
-    notes: tuple[Reason, ...] = ()
-    if drift is not None:
-        notes = (Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))),)
-    return add_verdicts(result, fits.fitted_rows, notes)
+    return add_verdicts(result, fits.fitted_rows, found)
 
 
 def _assemble(

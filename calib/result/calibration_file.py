@@ -224,6 +224,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "scale_measured": "expected.scale_measured_rms_m",
             "scale_everywhere": "expected.scale_everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
+            "board": "expected.board",
             "undetermined": "expected.undetermined_rms_m",
         },
         Setup: {"internals": "optics"},

@@ -13,7 +13,7 @@ from calib.basics.channels import Channels
 from calib.diagnosis.evidence import Evidence, ValidationErrors
 from calib.diagnosis.judge import judge
 from calib.diagnosis.judge_setup import judge_setup
-from calib.diagnosis.reasons import NO, Reason, Verdict, Why
+from calib.diagnosis.reasons import NO, Reason, Role, Verdict, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.model.error_model import FRAME, MOUNT, TARGET
@@ -34,18 +34,20 @@ _FEW_SUSPECTS = 0.15
 _PER_JOINT = 4
 
 
-def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()) -> Calibration:
+def add_verdicts(result: Calibration, rows: Rows, found: tuple[Reason, ...] = ()) -> Calibration:
     """Return a result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
         result: A cross-validated result, with its measurements and fits in memory.
         rows: The rows that were fitted.
-        notes: Reasons that only inform, to be stated with the others of the geometry.
+        found: What was found before the fit: doubts, and what only informs, to be stated with the rest of the geometry.
 
     Returns:
         The same result, each fitted model with its verdict.
     """
-    doubts = tuple(find_doubts(result, rows))
+    notes = tuple(reason for reason in found if reason.why.role is Role.INFORMATION)
+    before = (reason for reason in found if reason.why.role is not Role.INFORMATION)
+    doubts = (*before, *find_doubts(result, rows))
     larger, of_larger = result.non_geometric, result.fit.non_geometric
     usable = None
     if larger is not None and of_larger is not None:
@@ -63,12 +65,11 @@ def add_verdicts(result: Calibration, rows: Rows, notes: tuple[Reason, ...] = ()
     evidence = _collect_evidence(result, geometry, fitted, residual, rows, doubts)
     every_note = (*notes, *without_explained(_notes(result), doubts))
     evidence = replace(evidence, notes=every_note, non_geometric=usable)
+    if result.is_setup_only:
+        verdict = _judge_setup(result, evidence)
+        return replace(result, geometry=replace(geometry, verdict=verdict))
     chains = tuple(_chains(result, evidence, rows))
-    verdict = (
-        _judge_setup(result, evidence)
-        if result.is_setup_only
-        else verdict_with_chains(judge(evidence), chains)
-    )
+    verdict = verdict_with_chains(judge(evidence), chains)
     trust = replace(result.trust, chains=chains)
     return replace(result, geometry=replace(geometry, verdict=verdict), trust=trust)
 
@@ -360,6 +361,8 @@ def _notes(result: Calibration) -> Iterator[Reason]:
         yield Reason.of(Why.ALREADY_CORRECTED, run=urdf.run, verdict=urdf.verdict)
     if m.copies:
         yield Reason.of(Why.ROWS_COPIED, rows=len(m.copies), row=m.copies[0])
+    if m.other_end:
+        yield Reason.of(Why.OTHER_END, off=len(m.other_end), named=[m.other_end[0]])
     if m.turned:
         yield Reason.of(Why.READINGS_TURNED, joints=", ".join(m.turned))
 

@@ -30,6 +30,7 @@ from calib.model.observability import Observability
 from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.moves import last_moves
 from calib.numerics.rigid_motion import best_motion, displacements_by, without_rigid_motion
+from calib.result.board_errors import BoardErrors, board_errors
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
@@ -110,6 +111,9 @@ class FittedModel(Value):
     scale: Scale | None = None
     #: Squared error of extrapolated predictions over that by the covariance, 1 or more
     extrapolation: float = 1.0
+    #: Errors of the predicted poses of boards, of held-out views without outliers; None without images or
+    #: cross-validation
+    board: BoardErrors | None = None
     #: Error over the joint limits that families of errors add whose sizes the rows do not determine [m]
     undetermined: float = 0.0
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
@@ -146,6 +150,11 @@ class FittedModel(Value):
             spread = np.linspace(0, len(rows) - 1, count).astype(int)
             poses, twists = twists_in_base(kinematics, x, rows.samples.select(spread))
             base_motion = read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
+        board = None
+        if cross_validation is not None and np.any(rows.is_image):
+            sightings = kinematics.sightings(x, rows.samples)
+            kept = ~fitted.estimate.outliers
+            board = board_errors(rows, sightings, cross_validation.residual, kept)
         scale = instrument_scale(thin(fitted)[0])
         model = cls(
             kinematics=kinematics,
@@ -160,6 +169,7 @@ class FittedModel(Value):
             expected_everywhere=np.nan,
             scale=scale,
             extrapolation=extrapolation(fitted),
+            board=board,
             **attributes,
         )
 
@@ -234,15 +244,18 @@ class FittedModel(Value):
 
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, which includes what the
         model lacks; it is no less than ``noise_measured``, as an error that all rows share, that of a print's size,
-        does not show in them. For the second the variance of the prediction at the measured poses, the square of
-        ``noise_measured``, is exchanged for that over the limits, the square of ``expected_elsewhere``. Without
-        cross-validation, or if no length was measured, these two are taken. To either is added what a scale error of
-        the instrument does (``by_scale``).
+        does not show in them. Of images it is what held-out views show of the board's position in three dimensions,
+        beyond their own noise (`BoardErrors.predicted`): residuals in pixels hardly show depth. For the second the
+        variance of the prediction at the measured poses, the square of ``noise_measured``, is exchanged for that over
+        the limits, the square of ``expected_elsewhere``. Without cross-validation, or if no length was measured, these
+        two are taken. To either is added what a scale error of the instrument does (``by_scale``).
         """
         near, elsewhere = self.noise_measured, self.expected_elsewhere
         validation = self.cross_validation
+        held_out = None if self.board is None else self.board.predicted
         if validation is not None and validation.errors_without_outliers["m"].n:
             held_out = validation.errors_without_outliers["m"].rms
+        if held_out is not None:
             elsewhere = float(np.sqrt(max(held_out**2 - near**2, 0.0) + elsewhere**2))
             near = max(held_out, near)
         by_scale = self.by_scale

@@ -66,7 +66,7 @@ def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOp
             # With the numbers that the fit begins with: as given, or as the images determine them.
             camera = given.cameras[station]
             lens = LENSES[camera.lens]
-            start: Array = values[row, optics.INTRINSICS][: len(lens.names)]
+            start: Array = values[row, optics.intrinsic_columns(lens)]
             sigma = camera.sigma
             if camera.values is None:
                 sigma = np.full(len(start), UNKNOWN)
@@ -105,8 +105,9 @@ def _estimated_cameras(nominal: Mapping[str, Camera], model: FittedModel) -> Map
     sigma = {key: np.array(camera.sigma) for key, camera in nominal.items()}
     for k, parameter, column in _estimated_numbers(model, CAMERA):
         key = _key(stations[parameter.place], nominal)
-        number = column - optics.INTRINSICS.start
         if key is not None:
+            columns = optics.intrinsic_columns(LENSES[nominal[key].lens])
+            number = int(np.flatnonzero(columns == column)[0])
             values[key][number] += model.x[k]
             std = model.parameters[k].std
             sigma[key][number] = std if np.isfinite(std) else sigma[key][number]

@@ -75,6 +75,7 @@ def fit_table(
     model: str | Sequence[Parameter] | None = None,
     solver: str | Solver = "lm",
     robust: bool = True,
+    mistake: Reason | None = None,
 ) -> TableFits:
     """Fit the models of a calibration to the estimation rows of a table.
 
@@ -87,6 +88,7 @@ def fit_table(
         solver: ``"lm"``, ``"scipy"``, ``"paper"`` (the paper's algorithm, without priors and robust weights), or a
             function like those of `calib.numerics.solvers.SOLVERS`.
         robust: Whether outliers lose their weight.
+        mistake: A usual mistake that was found already; None: it is looked for.
 
     Returns:
         The fits of the geometry and, if the model has one or the data ask for it, of a non-geometric model; the
@@ -111,7 +113,8 @@ def fit_table(
     began = time.perf_counter()
     model = cell.model if model is None else model
     estimation = measurements.select(measurements.estimation)
-    mistake = find_usual_mistake(robot, cell, estimation, measurements)
+    if mistake is None:
+        mistake = find_usual_mistake(robot, cell, estimation, measurements)
     if mistake is None:
         mistake = frame_not_found(robot, seen, rows)
     task = Task(robot, cell, seen, model, known_distances(cell, seen), solver, robust)

@@ -341,17 +341,22 @@ class Robot(Value):
         return replace(self, urdf=urdf, branches=branches)
 
     @property
+    def is_tree(self) -> bool:
+        """True if its errors are those of limbs: it has branches, or a chain over the mount of a further robot."""
+        return bool(self.branches or self.mounts)
+
+    @property
     def limbs(self) -> tuple[Robot, ...]:
         """The chains whose placements are corrected, from the link where all of ``chains`` part; itself if it is one.
 
         They have the same columns of q. Each ``<origin>`` that several of them pass stands in all of these alike.
         """
-        return _limbs_of(self) if self.branches else (self,)
+        return _limbs_of(self) if self.is_tree else (self,)
 
     @property
     def all_joints(self) -> tuple[UrdfJoint, ...]:
-        """The joints of all chains, each once; of several chains as the URDF has them, limb by limb."""
-        if not self.branches:
+        """The joints of all chains, each once; of a tree as the URDF has them, limb by limb."""
+        if not self.is_tree:
             return self.joints
         joints = {joint.name: joint for limb in self.limbs for joint in limb.joints}
         return tuple(joints.values())
@@ -593,7 +598,7 @@ class Robot(Value):
             ModelError: As of `with_placements`.
             UrdfError: As of `with_placements`.
         """
-        if not self.branches and not mounts:
+        if not self.is_tree:
             return self.with_placements(placements[0])
         changed: dict[str, Array] = {}
         before = self.origins()
@@ -618,7 +623,7 @@ class Robot(Value):
 
 @lru_cache(maxsize=16)
 def _limbs_of(robot: Robot) -> tuple[Robot, ...]:
-    """Return the limbs of a robot with branches, see `Robot.limbs`: one for each link that joints move."""
+    """Return the limbs of a tree, see `Robot.limbs`: one for each link that joints move."""
     urdf = robot.urdf
     links = list(dict.fromkeys(link for chain in robot.chains for link in (chain.base, chain.tip)))
     ways = [urdf.chain(urdf.root, link)[1] for link in links]
@@ -643,6 +648,7 @@ def _limbs_of(robot: Robot) -> tuple[Robot, ...]:
     return tuple(
         replace(
             limb,
+            parts=(),  # a chain by itself
             inputs=robot.inputs,
             mimic_matrix=read_only(limb.mimic_matrix[:, order]),
             reading_matrix=robot.reading_matrix,

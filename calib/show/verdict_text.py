@@ -255,6 +255,10 @@ SENTENCES = {
     "ignored.",
     Why.READINGS_TURNED: "Readings of {joints} lay whole turns outside of the joint's limits, and were brought "
     "back by 360 deg; the URDF's limits decide.",
+    Why.OTHER_END: "The board looks the same from both ends: in {pictures_off} its corners were numbered from the end "
+    "that the robot's motion shows to be the other one, first in {pictures_named}.",
+    Why.CORNERS_THINNED: "Of {corners} corners {kept} were fitted, evenly over pictures and board: those of one "
+    "picture share the robot's error there.",
     Why.VALIDATION_GAIN: "On the {rows} validation rows{rows_aside} the error falls {change}.",
     Why.OUTSIDE: "{rows_lie} outside the range of the fitted joint values, where "
     "errors may be larger: '{joint}' in {place} by {beyond}.",
@@ -273,6 +277,15 @@ SENTENCES = {
     Why.SENSE_UNKNOWN: "These poses do not show in which direction a joint counts: with the sign of "
     "{joints} reversed the images fit as well. Check it by hand, and turn this joint by 60 deg or more with the other "
     "joints at other values.",
+    Why.PICTURES_TURNED: "{of_pictures} fit only if they are turned by half a turn: {pictures_named}. They were left "
+    "out. Turn them back, or take them again; does a camera or a program turn pictures by their orientation tag?",
+    Why.PICTURES_EXCHANGED: "{of_pictures} fit only with the joint values of each other: {pictures_named}. They were "
+    "left out. Were they named wrongly, or are their rows exchanged?",
+    Why.CAMERA_MOVED: "{of_pictures}{from_picture} fit only if the camera stood elsewhere, {moved_m:mm.1f} mm and "
+    "{moved_rad:deg.2f} deg away: {pictures_named}. {left_out}Was it knocked? Give those rows a name of their own in "
+    "the column 'group', or take them again.",
+    Why.CAMERA_REFOCUSED: "{of_pictures}{from_picture} fit only with another focal length ({share:%+.2f} %): "
+    "{pictures_named}. {left_out}Did autofocus or a zoom move? Switch it off, and take them again.",
     Why.FOCAL_LENGTH_OFF: "The focal length seems to be {share:%+.2f} % off what was stated (standard "
     "deviation {std:%.2f} %): {if_exact}are the intrinsics of this camera, resolution and focus?",
     Why.BOARD_SCALE_OFF: "The board seems to be {share:%+.2f} % off its stated size (standard deviation "
@@ -312,6 +325,10 @@ _DH_DIGIT = 0.005
 
 #: Second sentence of a reason that much remains, if the non-geometric model leaves far less.
 _BETTER = " The non-geometric model '{model}' leaves {less}: " + _COMPENSATE
+
+
+#: The most pictures that a sentence names.
+_PICTURES_NAMED = 4
 
 
 def reason_text(reason: Reason) -> str:
@@ -467,6 +484,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "less_noise": "".join(sizes_of(values, "less")[:1]),
         "given_off": listed(sizes_of(values, "given", ".2f")),
         "error_off": listed(sizes_of(values, "error", ".2f")),
+        **_pictures(values),
         "within": "".join(sizes_of(values, "within")[:1]),
     }
     free_before, free_after = (sizes_of(values, f"free_{side}") for side in ("before", "after"))
@@ -500,6 +518,23 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         if "remains" in values:
             words["better"] = _BETTER.format(model=values["model"], less=less)
     return words
+
+
+def _pictures(values: Mapping[str, Any]) -> dict[str, str]:
+    """Word which pictures of which camera a reason is about, for `SENTENCES`; none for the values of other reasons."""
+    if "named" not in values:
+        return {}
+    named, count = values["named"], values["off"]
+    camera = f" of camera '{values['camera']}'" if values.get("camera") else ""
+    further = count - min(len(named), _PICTURES_NAMED)
+    listed_names = ", ".join(f"'{name}'" for name in named[:_PICTURES_NAMED])
+    return {
+        "pictures_off": plural(count, "picture"),
+        "of_pictures": f"{count} of {values.get('of', count)} pictures{camera}",
+        "from_picture": f", before or from '{values['first']}' on," if values.get("first") else "",
+        "pictures_named": listed_names + (f" and {further} more" if further > 0 else ""),
+        "left_out": "They were left out. " if values.get("left_out", True) else "",
+    }
 
 
 def _dh_cell(cell: Mapping[str, Any]) -> str:

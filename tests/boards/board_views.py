@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from calib.basics.arrays import Array
-from calib.boards.board import APRILTAG, CHESSBOARD, Board, white_squares
+from calib.boards.board import APRILGRID, APRILTAG, CHESSBOARD, TAGS, Board, white_squares
 
 #: Parts of a pixel along u and v.
 PARTS = 3
@@ -30,6 +30,24 @@ TAG_BOARD = Board(
     square=0.05,
     marker=0.035,
     dictionary="DICT_APRILTAG_36h11",
+)
+KALIBR_BOARD = Board(
+    pattern="aprilgrid",
+    columns=4,
+    rows=3,
+    square=0.052,
+    marker=0.04,
+    dictionary="DICT_APRILTAG_36h11",
+    first_marker=5,
+)
+SINGLE_TAG = Board(
+    pattern="apriltag",
+    columns=1,
+    rows=1,
+    square=0.1,
+    marker=0.08,
+    dictionary="DICT_5X5_30_SEED_7",
+    first_marker=21,
 )
 
 
@@ -95,7 +113,7 @@ def pattern(board: Board, per_metre: float) -> Array:
     height = (board.rows + 2) * cells
     width = (board.columns + 2) * cells
     picture = np.ones((height, width))
-    if board.pattern != APRILTAG:
+    if board.pattern not in TAGS:
         whites = _white_squares(board)
         for column in range(board.columns):
             for row in range(board.rows):
@@ -106,8 +124,25 @@ def pattern(board: Board, per_metre: float) -> Array:
                     ] = 0
     if board.pattern == CHESSBOARD:
         return picture
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    if board is SINGLE_TAG:
+        dictionary = cv2.aruco.extendDictionary(30, 5, cv2.aruco.Dictionary(), 7)
+    else:
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     side = round(board.marker * per_metre)
+    if board.pattern == APRILGRID:
+        gap = cells - side
+        for column in range(1, board.columns + 2):
+            for row in range(1, board.rows + 2):
+                picture[row * cells - gap : row * cells, column * cells - gap : column * cells] = 0
+        for k in range(board.markers):
+            # Ids from the lower left, and each tag turned by half a turn.
+            row, column = board.rows - k // board.columns, 1 + k % board.columns
+            marker = cv2.aruco.generateImageMarker(
+                dictionary, board.first_marker + k, side, borderBits=2
+            )
+            v, u = row * cells, column * cells
+            picture[v : v + side, u : u + side] = marker[::-1, ::-1] / 255.0
+        return picture
     if board.pattern == APRILTAG:
         places = [(c, r) for r in range(board.rows) for c in range(board.columns)]
         margin = 0

@@ -62,6 +62,28 @@ def test_chessboard_has_inner_corners_in_rows():
 
 
 @pytest.mark.parametrize(
+    ("columns", "rows", "orders"),
+    [(4, 3, 1), (10, 8, 2), (7, 5, 2), (4, 4, 2), (5, 5, 4)],
+)
+def test_chessboards_that_look_the_same_turned(columns, rows, orders):
+    board = Board(pattern=CHESSBOARD, columns=columns, rows=rows, square=0.02)
+    alike = board.orders_alike
+    assert len(alike) == orders
+    assert board.looks_same_turned == (orders > 1)
+    # Numbered in each of these orders, corners are a turned copy of the board, with the same colours.
+    about_middle = (board.corners - board.centre)[:, :2]
+    for order in alike:
+        R, _, _, _ = np.linalg.lstsq(about_middle, about_middle[order], rcond=None)
+        np.testing.assert_allclose(about_middle @ R, about_middle[order], atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+        # A quarter of a turn exchanges the axes, and with them the sign.
+        sign = 1.0 if abs(R[0, 0]) > 0.5 else -1.0
+        np.testing.assert_array_equal(corner_signs(board)[order], sign * corner_signs(board))
+    assert not charuco().looks_same_turned
+    assert not TAG_BOARD.looks_same_turned
+
+
+@pytest.mark.parametrize(
     "changes",
     [
         {"pattern": "dots"},
@@ -121,3 +143,43 @@ def test_the_legacy_layout_matters_for_even_rows_only():
     assert not white_squares(replace(legacy, rows=5))[0, 0]
     np.testing.assert_allclose(marker_outlines(even)[0, 0], [0.054, 0.004])
     np.testing.assert_allclose(marker_outlines(legacy)[0, 0], [0.004, 0.004])
+
+
+#: Tags of 80 mm, 24 mm apart.
+KALIBR = Board(
+    pattern="aprilgrid",
+    columns=3,
+    rows=2,
+    square=0.104,
+    marker=0.08,
+    dictionary="DICT_APRILTAG_36h11",
+)
+
+
+def test_an_aprilgrid_is_that_of_kalibr():
+    # Tags from the lower left; each corner by its tag and the corner in it, from the lower right.
+    by_tag = KALIBR.corners.reshape(6, 4, 3)[:, :, :2]
+    np.testing.assert_allclose(by_tag[0], [[0.08, 0.184], [0, 0.184], [0, 0.104], [0.08, 0.104]])
+    np.testing.assert_allclose(by_tag[1] - by_tag[0], [[0.104, 0.0]] * 4, atol=1e-12)
+    np.testing.assert_allclose(by_tag[3] - by_tag[0], [[0.0, -0.104]] * 4, atol=1e-12)
+    np.testing.assert_allclose(KALIBR.size, (0.288, 0.184))
+    # Towards +x, +y of a tag's lower right corner is the small square, which is black.
+    assert corner_signs(KALIBR)[:4].tolist() == [-1.0, 1.0, -1.0, 1.0]
+    assert not KALIBR.looks_same_turned
+    assert (KALIBR.border, KALIBR.marker_kind) == (2, "DICT_APRILTAG_36h11/2")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"marker": 0.0},
+        {"marker": 0.03},
+        {"rows": 2},
+        {"pattern": "asymmetric_circles", "marker": 0.03},
+    ],
+)
+def test_refuses_what_is_no_grid_of_circles(changes):
+    grid = {"pattern": "circles", "columns": 5, "rows": 4, "square": 0.02, "marker": 0.01}
+    Board(**grid)
+    with pytest.raises(CalibError):
+        Board(**(grid | changes))

@@ -11,8 +11,11 @@ import pytest
 from calib.boards.dictionaries import (
     DICTIONARIES,
     KINDS,
+    Dictionary,
     check_markers,
+    dictionary_of,
     kind_of,
+    opencv_dictionary,
     smallest_dictionary,
 )
 from calib.errors import CalibError
@@ -59,3 +62,32 @@ def test_the_smallest_dictionary_that_has_an_id():
     assert smallest_dictionary(KINDS[1], 50) == "DICT_5X5_100"
     assert smallest_dictionary(KINDS[1], 999) == "DICT_5X5_1000"
     assert smallest_dictionary(KINDS[1], 5000) == "DICT_5X5_1000"
+
+
+def test_dictionaries_that_opencv_makes():
+    assert dictionary_of("DICT_5X5_30_SEED_7") == Dictionary(5, 30)
+    assert dictionary_of("DICT_4X4_80_SEED_7_FROM_DICT_4X4_50") == Dictionary(4, 80)
+    made = opencv_dictionary("DICT_5X5_30_SEED_7")
+    theirs = cv2.aruco.extendDictionary(30, 5, cv2.aruco.Dictionary(), 7)
+    np.testing.assert_array_equal(made.bytesList, theirs.bytesList)
+    longer = opencv_dictionary("DICT_4X4_80_SEED_7_FROM_DICT_4X4_50")
+    base = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    np.testing.assert_array_equal(longer.bytesList[:50], base.bytesList)
+    assert kind_of("DICT_5X5_30_SEED_7") == ("DICT_5X5_30_SEED_7",)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "DICT_5X4_30_SEED_7",
+        "DICT_5X5_30_SEED_",
+        "DICT_9X9_30_SEED_7",
+        "DICT_4X4_40_SEED_7_FROM_DICT_4X4_50",
+        "DICT_4X4_80_SEED_7_FROM_DICT_5X5_50",
+        "DICT_4X4_80_SEED_7_FROM_DICT_NONE",
+    ],
+)
+def test_dictionaries_that_it_does_not(name: str):
+    assert dictionary_of(name) is None
+    with pytest.raises(CalibError, match="SEED"):
+        check_markers(name, 0, 4, "The board")

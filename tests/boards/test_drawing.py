@@ -10,6 +10,7 @@ import pytest
 
 from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
 from calib.boards.drawing import black_rectangles, marker_rectangles, texture
+from tests.boards.board_views import KALIBR_BOARD, pattern
 from tests.boards.boards import CHARUCO_BOARD, CHESS_BOARD, OLD_BOARD, TAG_BOARD
 
 #: Whole pixels for squares, margins of markers and bits of 5 x 5 and 6 x 6 dictionaries.
@@ -136,3 +137,31 @@ def test_an_edge_within_a_pixel_shows_as_grey():
     assert drawn.white[5, 10] == pytest.approx(0.6, abs=1e-5)
     assert drawn.white[5, 11] == pytest.approx(1.0)
     assert drawn.place(np.array([CHESS_BOARD.square])) == pytest.approx(10.4 - 0.5)
+
+
+def test_an_aprilgrid_is_drawn_as_kalibr_has_it():
+    # A bit is 4 mm, a pixel is 1 mm.
+    drawn = texture(KALIBR_BOARD, 1e-3, KALIBR_BOARD.square).white
+    height, width = drawn.shape
+    np.testing.assert_allclose(drawn, pattern(KALIBR_BOARD, 1e3)[:height, :width], atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["circles", "asymmetric_circles"])
+def test_circles_are_drawn_with_their_area_about_their_centres(kind):
+    board = Board(pattern=kind, columns=3, rows=3, square=0.03, marker=0.02)
+    x, y, width, height = black_rectangles(board).T
+    area = width * height
+    assert area.sum() == pytest.approx(9 * np.pi * 0.01**2, rel=1e-9)
+    nearest = np.argmin(
+        np.hypot(
+            *(np.stack([x + width / 2, y + height / 2])[:, :, None] - board.corners.T[:2, None])
+        ),
+        axis=1,
+    )
+    for k, corner in enumerate(board.corners):
+        strips = nearest == k
+        middle = np.array([x[strips] + width[strips] / 2, y[strips] + height[strips] / 2])
+        np.testing.assert_allclose(
+            middle @ area[strips] / area[strips].sum(), corner[:2], atol=1e-9
+        )
+        assert width[strips].max() == pytest.approx(0.02, rel=1e-3)

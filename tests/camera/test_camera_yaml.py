@@ -14,9 +14,28 @@ from calib.camera.camera_yaml import camera_info_yaml, camera_of_yaml, opencv_ya
 from calib.camera.lenses import LENSES
 from calib.errors import CalibError, FileError
 
+LINEAR = (634.0, 641.0, 652.0, 349.0)
 VALUES = {
     "pinhole": [634.123456789012345, 641.25, 652.5, 349.0, -0.28, 0.11, 1e-05, -2e-17, -0.02],
     "fisheye": [410.1, 405.3, 640.0, 360.0, -0.02, 0.01, -4e-3, 6e-07],
+    "rational": [*LINEAR, 0.7, -0.2, 1e-3, -2e-3, 0.03, 0.9, 0.1, -0.02],
+    "tilted": [
+        *LINEAR,
+        0.7,
+        -0.2,
+        1e-3,
+        -2e-3,
+        0.03,
+        0.9,
+        0.1,
+        -0.02,
+        3e-3,
+        -1e-3,
+        -2e-3,
+        2e-3,
+        0.03,
+        -0.05,
+    ],
 }
 
 #: A file of ROS by its calibrator, with a number as YAML 1.1 does not read it.
@@ -98,7 +117,8 @@ def test_ros_reads_the_same_numbers(lens):
     info = camera_info(camera_info_yaml(camera(lens)))
     fx, fy, cx, cy, *coefficients = VALUES[lens]
     assert (info["width"], info["height"]) == (1280, 720)
-    assert info["distortion_model"] == {"pinhole": "plumb_bob", "fisheye": "equidistant"}[lens]
+    models = {"pinhole": "plumb_bob", "fisheye": "equidistant"}
+    assert info["distortion_model"] == models.get(lens, "rational_polynomial")
     assert info["D"].tolist() == coefficients
     assert info["K"].tolist() == [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
     np.testing.assert_array_equal(info["R"], np.eye(3))
@@ -141,6 +161,26 @@ def test_what_opencv_writes_is_read(key, suffix, tmp_path):
     read = camera_of_yaml(path.read_text(), "camera.yaml")
     assert (read.width, read.height, read.lens) == (640, 480, "pinhole")
     assert read.values.tolist() == [580.5, 576.75, 315.25, 247.5, 0.1, 1e-5, 0.3, 0.4, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("further", "lens"),
+    [
+        ("0, 0, 0", "pinhole"),
+        ("0, 0.25, 0", "rational"),
+        ("0, 0.25, 0, 0, 0, 0, 0", "rational"),
+        ("0, 0, 0, 0, 0, 0.1, 0", "tilted"),
+        ("0, 0.25, 0, 0, 0, 0.1, 0, 0.02, 0", "tilted"),
+    ],
+)
+def test_the_lens_is_that_of_the_fewest_coefficients(further, lens):
+    text = ROS.replace("3e-05, 0.5]", f"3e-05, 0.5, {further}]")
+    assert text != ROS
+    read = camera_of_yaml(text, "camera.yaml")
+    assert read.lens == lens
+    given = [float(word) for word in further.split(",")]
+    count = len(read.values) - 9
+    assert read.values[9:].tolist() == np.pad(given, (0, 9))[:count].tolist()
 
 
 def test_files_of_the_ros_calibrator_are_read():
@@ -197,7 +237,6 @@ def test_models_of_ros(model, coefficients, expected):
             "[0, 0, 0.134462,",
             ("7 numbers", "4, 5, 8, 12 or 14", "k1, k2, p1, p2, k3"),
         ),
-        ("3e-05, 0.5]", "3e-05, 0.5, 0, 0.25, 0]", ("[0.0, 0.25, 0.0]", "1280x720", "rational")),
         ("3e-05, 0.5]", "3e-05, .nan]", ("distortion_coefficients",)),
         ("[ 580.5,", "[ 580.5, 1.0,", ("10 numbers", "nine")),
         ("[ 580.5,    0. ", "[ 580.5,    1.5", ("skew", "1.5")),

@@ -17,7 +17,19 @@ POINTS = Board(pattern="chessboard", columns=7, rows=5, square=0.03).corners
 TRUTH = {
     "pinhole": np.array([700.0, 705.0, 640.0, 355.0, -0.1, 0.05, 1e-3, -5e-4, 0.0]),
     "fisheye": np.array([420.0, 418.0, 641.0, 358.0, -0.02, 0.01, -4e-3, 6e-4]),
+    "rational": np.array([700.0, 705.0, 640.0, 355.0, 0.2, 0.05, 1e-3, -5e-4, 0.0, 0.3, 0.1, 0.0]),
+    "tilted": np.array(
+        [
+            *(700.0, 705.0, 640.0, 355.0, 0.2, 0.05, 1e-3, -5e-4, 0.0, 0.3, 0.1, 0.0),
+            *(1e-3, 0.0, -1e-3, 0.0, 0.01, -0.02),
+        ]
+    ),
 }
+
+
+def determined(name):
+    """How many of the first numbers images determine well: with a tilted sensor, its tilt moves the centre."""
+    return 2 if name == "tilted" else 4
 
 
 def scene(name, count=6):
@@ -77,8 +89,9 @@ def test_numbers_and_poses_are_found(name):
     values, T = perturbed(name, truth)
     wide = Bundle(LENSES[name], TRUTH[name], 1e3 * bundle(name).std)
     refined = refine_bundle(wide, values, views, list(T), 40)
-    np.testing.assert_allclose(refined.values[:4], TRUTH[name][:4], rtol=1e-3)
-    np.testing.assert_allclose(refined.T_camera_board, truth, atol=1e-3)
+    known = determined(name)
+    np.testing.assert_allclose(refined.values[:known], TRUTH[name][:known], rtol=1e-3)
+    np.testing.assert_allclose(refined.T_camera_board, truth, atol=1e-3 if known == 4 else 5e-3)
     assert refined.error < 1e-3
 
 
@@ -101,14 +114,14 @@ LARGER = Board(pattern="chessboard", columns=8, rows=6, square=0.03).corners
 def camera_and_truth(lens, rng):
     camera = Camera(width=1280, height=720, lens=lens)
     truth = np.zeros(len(LENSES[lens].names))
-    focal = rng.uniform(0.5, 1.5) * 1280 if lens == "pinhole" else rng.uniform(0.3, 0.6) * 1280
+    focal = rng.uniform(0.5, 1.5) * 1280 if lens != "fisheye" else rng.uniform(0.3, 0.6) * 1280
     truth[:4] = [
         focal,
         focal * rng.uniform(0.99, 1.01),
         640 + rng.normal() * 15,
         360 + rng.normal() * 15,
     ]
-    truth[4:6] = [rng.uniform(-0.3, 0.1), 0.05] if lens == "pinhole" else rng.normal(size=2) * 0.02
+    truth[4:6] = [rng.uniform(-0.3, 0.1), 0.05] if lens != "fisheye" else rng.normal(size=2) * 0.02
     return camera, truth
 
 
@@ -137,7 +150,8 @@ def test_random_cameras_are_found(lens):
         rng = np.random.default_rng(seed)
         camera, truth = camera_and_truth(lens, rng)
         start = initial_intrinsics(camera, views(camera, truth, rng))
-        errors.append(np.abs(start[:4] / truth[:4] - 1.0))
+        known = determined(lens)
+        errors.append(np.abs(start[:known] / truth[:known] - 1.0))
     assert np.max(errors) < 0.03
 
 

@@ -9,16 +9,37 @@ from scipy.spatial.transform import Rotation
 from calib.camera import optics
 from calib.camera.lenses import LENSES
 
+LINEAR = (634.0, 641.0, 652.0, 349.0)
 VALUES = {
     "pinhole": np.array([634.0, 641.0, 652.0, 349.0, -0.28, 0.11, 1e-3, -2e-3, -0.02]),
     "fisheye": np.array([410.0, 405.0, 640.0, 360.0, -0.02, 0.01, -4e-3, 6e-4]),
+    "rational": np.array([*LINEAR, 0.7, -0.2, 1e-3, -2e-3, 0.03, 0.9, 0.1, -0.02]),
+    "tilted": np.array(
+        [
+            *LINEAR,
+            0.7,
+            -0.2,
+            1e-3,
+            -2e-3,
+            0.03,
+            0.9,
+            0.1,
+            -0.02,
+            3e-3,
+            -1e-3,
+            -2e-3,
+            2e-3,
+            0.03,
+            -0.05,
+        ]
+    ),
 }
 
 
 def rows(lens, count=40):
     rng = np.random.default_rng(4)
     values = np.zeros((count, optics.COUNT))
-    values[:, : len(VALUES[lens])] = VALUES[lens]
+    values[:, optics.intrinsic_columns(LENSES[lens])] = VALUES[lens]
     values[:, optics.LENS] = list(LENSES).index(lens)
     values[:, optics.POINT] = np.column_stack([rng.uniform(0, 0.2, (count, 2)), np.zeros(count)])
     values[:, optics.ACROSS] = optics.across(
@@ -78,7 +99,7 @@ def test_derivatives_by_optics_are_those_of_differences(lens):
     T, values = rows(lens)
     _, by_optics = optics.image_derivatives(T, np.zeros((len(T), 6, 1)), values)
     changing = [
-        *range(len(VALUES[lens])),
+        *optics.intrinsic_columns(LENSES[lens]).tolist(),
         *range(optics.SCALE.start, optics.SCALE.stop),
         *range(optics.WARP.start, optics.WARP.stop),
         *range(optics.OFFSET.start, optics.OFFSET.stop),

@@ -131,3 +131,36 @@ def test_a_brand_s_columns_are_those_of_the_chain(shop: Path):
         np.testing.assert_array_equal(table.joints, plain.joints)
     with pytest.raises(CalibError, match="--columns fanuc"):
         load_with_data(robot, cell, shop / "brand.csv")
+
+
+def test_links_by_name_and_without():
+    given = {
+        "tip": ["left=l7", "right=r7"],
+        "board_on": ["third=r6"],
+        "base": ["root"],
+        "frame": ["estimate", "head=head_2"],
+        "camera_on": ["wrist=l7"],
+    }
+    cell = FitOptions(None, given).cell()
+    assert cell.tip is None
+    assert cell.tips == {"left": "l7", "right": "r7", "third": "r6"}
+    assert cell.base == "root"
+    assert cell.bases == {"wrist": "l7", "head": "head_2"}
+    assert cell.estimate_frame
+    assert not FitOptions(None, {"frame": ["head=head_2"]}).cell().estimate_frame
+    assert FitOptions(None, {"frame": ["x", "rz"]}).cell().frame_directions == ("x", "rz")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"tip": ["a", "b"]}, "--tip is given twice"),
+        ({"tip": ["a=b", "a=c"]}, "names 'a' twice"),
+        ({"base": ["=b"]}, "--base '=b' lacks"),
+        ({"tip": ["a"], "board_on": ["b"]}, "mean the same"),
+        ({"other_robot": ["right="]}, "--other-robot 'right=' lacks"),
+    ],
+)
+def test_links_that_are_refused(given: dict[str, list[str]], said: str):
+    with pytest.raises(CalibError, match=said):
+        FitOptions(None, given).cell()

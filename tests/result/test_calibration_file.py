@@ -252,7 +252,8 @@ WHOLE = {
     "cross_validation", "verdict", "non_geometric", "non_geometric.payload", "non_geometric.cross_validation",
     "noise.repeats",
     "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
-    "model.ties", "robot.held", "robot.coupling", "robustness", "outside", "verdict.reasons",
+    "model.ties", "robot.held", "robot.coupling", "robot.branches", "inputs.robots", "chains",
+    "robustness", "outside", "verdict.reasons",
     "verdict.reasons[].values", "plugins", "frames.optics", "frames.nominal.optics", "non_geometric.frames.optics",
     "cameras", "boards", "nominal_cameras", "nominal_boards",
 }  # fmt: skip
@@ -270,6 +271,9 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
                 "model.ties",
                 "robot.held",
                 "robot.coupling",
+                "robot.branches",
+                "inputs.robots",
+                "chains",
                 "non_geometric.payload",
                 "noise.sigma_given",
                 "plugins",
@@ -518,10 +522,16 @@ def test_boards_are_read_back():
     table = as_json(_boards_table({"": board}))
     assert (table[0]["square_m"], table[0]["sigma_corner_m"]) == (0.02985, 3e-5)
     assert attributes(_read_boards(table)[""]) == attributes(board)
+    cube = Board(
+        pattern="body",
+        dictionary="DICT_4X4_50",
+        tags=((7, ((0.0, 0.0, 0.01), (0.03, 0.0, 0.01), (0.03, 0.03, 0.01), (0.0, 0.03, 0.01))),),
+    )
+    assert _read_boards(as_json(_boards_table({"": cube})))[""].tags == cube.tags
     # Of a file that is older than a key, the default counts; a key without one must be there.
     del table[0]["legacy"]
     assert not _read_boards(table)[""].legacy
-    del table[0]["columns"]
+    del table[0]["pattern"]
     with pytest.raises(KeyError):
         _read_boards(table)
 

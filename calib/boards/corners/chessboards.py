@@ -7,19 +7,21 @@ determine lens and pose, hence where its corners must be. A corner is taken if t
 The first map to a plain chessboard is from OpenCV, which finds all inner corners or none, and does not know where the
 board begins.
 Of the orders of the corners, turned by quarters or halves, the right one has a black square at the origin. It is unique
-if columns and rows add up to an odd number. Otherwise the board looks the same after half a turn; then the order is
-taken whose x axis points most to the right of the image, which is the same board pose in two images only while the
-camera does not roll by more than a quarter of a turn.
+if columns and rows add up to an odd number. Otherwise the board looks the same after half a turn, and may as well have
+a white square at the origin; then the order is taken whose x axis points most to the right of the image. In another
+image that may be the other end of the board: who knows how the camera moved says which of `Board.orders_alike` it is.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from calib.basics.arrays import Array, Mask
-from calib.boards.board import CHARUCO, Board, corner_signs
+from calib.basics.values import Value
+from calib.boards.board import APRILGRID, CHARUCO, Board, cells_across, corner_signs
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
 from calib.boards.corners.saddles import Saddles, find_saddles
 from calib.boards.opencv import opencv
@@ -31,6 +33,10 @@ _WINDOW = 0.14
 
 #: Width of the window around a corner of a ChArUco board, in widths of the white around a marker.
 _WINDOW_IN_MARGINS = 0.7
+
+#: Width of the window around a corner of an aprilgrid, in widths of a tag's border or of a small square, whichever is
+#: narrower: the window then reaches to where these end.
+_WINDOW_IN_BORDERS = 0.3
 
 #: Smallest width of a window, if there is hardly any white, in squares.
 _SMALLEST_WINDOW = 0.04
@@ -61,7 +67,13 @@ _TOLERANCE_PX = 1.0
 
 
 def find_inner_corners(
-    image: Array, board: Board, start: PlanarMap, points: Array, pixels: Array
+    image: Array,
+    board: Board,
+    start: PlanarMap,
+    points: Array,
+    pixels: Array,
+    *,
+    is_white_first: bool = False,
 ) -> tuple[Saddles, PlanarMap]:
     """Find the inner corners of a board, refining a map from the board to the image as more corners are found.
 
@@ -71,13 +83,14 @@ def find_inner_corners(
         start: A map from the board to the image.
         points: Points of the board to which the map was fitted, shape (m, 2) [m].
         pixels: Their pixels, shape (m, 2).
+        is_white_first: True if the colours are the opposite of those described: a white square at the origin.
 
     Returns:
         All inner corners in the order of their ids, NaN for those that were not found or do not agree with the others;
         and the map fitted to those found.
     """
     corners = board.corners[:, :2]
-    signs = corner_signs(board)
+    signs = -corner_signs(board) if is_white_first else corner_signs(board)
     image_size = (image.shape[1], image.shape[0])
     planar_map = start
     count = -1
@@ -130,7 +143,12 @@ def window_size(board: Board) -> float:
     """Return the width of the window around a corner on the board [m].
 
     On a ChArUco board it is narrow enough to keep clear of the markers, unless there is hardly any white around them.
+    On an aprilgrid it is narrow enough for the small squares, and for the border of the tags.
     """
+    if board.pattern == APRILGRID:
+        bits = cells_across(board)
+        narrowest = min(board.square - board.marker, board.border * board.marker / bits)
+        return _WINDOW_IN_BORDERS * narrowest
     largest = _WINDOW * board.square
     if board.pattern != CHARUCO:
         return largest
@@ -150,16 +168,33 @@ def _smallest_squares(board: Board, planar_map: PlanarMap, corners: Array) -> Ar
 #: Fewest columns and rows of squares that OpenCV finds.
 _FEWEST = 4
 
+#: Longest side of a picture that OpenCV's slower detector is given [px].
+_LARGEST = 1600
+
+#: Largest number of corners with the colours of one order of a chessboard, as a share of those with the opposite ones:
+#: if columns are skipped, there are two fifths or more of either.
+_MOST_OPPOSITE = 0.2
+
+#: Sizes of which OpenCV seeks a chessboard or a larger one, of whatever size [corners]; the first mostly finds it.
+_SEEDS = ((4, 4), (3, 3))
+
 #: Largest share of the points of an outer edge that are corners of squares, if the board ends there.
 _MOST_ON_EDGE = 0.5
 
 
-def is_ambiguous(board: Board) -> bool:
-    """Return True if a chessboard looks the same after half a turn."""
-    return (board.columns + board.rows) % 2 == 0
+@dataclass(frozen=True, slots=True, eq=False)
+class Chessboard(Value):
+    """A plain chessboard in an image, as OpenCV finds it, with its corners in order."""
+
+    #: From the board to the image.
+    map: PlanarMap
+    #: The approximate pixels of the corners in the order of their ids, shape (n, 2).
+    pixels: Array
+    #: True if the square at the origin is white, which only a board that looks the same turned may have.
+    is_white_first: bool
 
 
-def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:  # noqa: ANN401  8-bit
+def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN401  8-bit
     """Find a plain chessboard in an image, by OpenCV, and the order of its inner corners.
 
     Args:
@@ -167,8 +202,8 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
         board: A chessboard.
 
     Returns:
-        The map from the board to the image, and the approximate pixels of the corners in the order of their ids, shape
-        (n, 2); None if not all corners are seen.
+        The chessboard; None if not all corners are seen, or what OpenCV takes for them are not: of a board with more
+        squares it sometimes takes every other corner.
 
     Raises:
         CalibError: The board has fewer columns or rows than OpenCV finds.
@@ -180,17 +215,23 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
         )
     cv2 = opencv()
     size = (board.columns - 1, board.rows - 1)
+    factor = 1
     is_seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not is_seen:
+        # The other detector takes minutes for a large picture that is soft.
+        factor = max(1, -(-max(image.shape) // _LARGEST))
+        shape = (image.shape[1] // factor, image.shape[0] // factor)
+        small = cv2.resize(image, shape, interpolation=cv2.INTER_AREA)
         flags = (
             cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
         )
-        is_seen, corners = cv2.findChessboardCorners(image, size, flags=flags)
+        is_seen, corners = cv2.findChessboardCorners(small, size, flags=flags)
     if not is_seen:
         return None
 
     # The orders in which the corners may be: turned, not mirrored.
     grid = np.asarray(corners, dtype=np.float64).reshape(board.rows - 1, board.columns - 1, 2)
+    grid = (grid + 0.5) * factor - 0.5
     along_x = grid[0, -1] - grid[0, 0]
     along_y = grid[-1, 0] - grid[0, 0]
     if along_x[0] * along_y[1] - along_x[1] * along_y[0] < 0.0:
@@ -206,11 +247,15 @@ def find_chessboard(image: Any, board: Board) -> tuple[PlanarMap, Array] | None:
         windows = windows_at(board, planar_map, board.corners[:, :2])
         agreeing = find_saddles(grey, ordered, windows, signs).exist.sum()
         opposite = find_saddles(grey, ordered, windows, -signs).exist.sum()
-        rightwards = windows_at(board, planar_map, board.centre[None, :2])[0, 0, 0]
-        score = (bool(agreeing > opposite), float(rightwards))
+        if min(agreeing, opposite) > _MOST_OPPOSITE * max(agreeing, opposite):
+            continue
+        is_black_first = bool(agreeing > opposite)
+        rightwards = float(windows_at(board, planar_map, board.centre[None, :2])[0, 0, 0])
+        score = (is_black_first, rightwards)
         if best is None or score > best[0]:
-            best = (score, planar_map, ordered)
-    return None if best is None else best[1:]
+            is_white_first = board.looks_same_turned and bool(opposite > agreeing)
+            best = (score, Chessboard(planar_map, ordered, is_white_first))
+    return None if best is None else best[1]
 
 
 def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool:
@@ -241,9 +286,11 @@ def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool
 def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8-bit
     """Return how many squares the chessboard that an image shows has along its sides, the larger first; None: none."""
     cv2 = opencv()
-    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-    is_seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
-    if not is_seen or meta is None:
-        return None
-    larger, smaller = sorted(np.asarray(meta).shape[:2], reverse=True)
-    return larger + 1, smaller + 1
+    usual = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    for flags in (usual, usual | cv2.CALIB_CB_EXHAUSTIVE):
+        for seed in _SEEDS:
+            is_seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, seed, flags)
+            if is_seen and meta is not None:
+                larger, smaller = sorted(np.asarray(meta).shape[:2], reverse=True)
+                return larger + 1, smaller + 1
+    return None

@@ -13,9 +13,8 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
-from calib.boards.dictionaries import DICTIONARIES
+from calib.boards.dictionaries import opencv_dictionary
 from calib.boards.opencv import opencv
-from calib.errors import CalibError
 
 #: Widest window of the adaptive threshold [px]: large markers and blurred edges need more than the default of 23.
 _WIDEST_THRESHOLD = 43
@@ -52,18 +51,11 @@ class Markers(Value):
         """Return the markers at which a mask, shape (m,), is True."""
         return Markers(self.ids[chosen], self.corners[chosen])
 
-    def of_ids(self, first: int, count: int) -> Markers:
-        """Return the markers whose ids are those of a board, with ids counted from 0.
-
-        Args:
-            first: Id of the board's first marker.
-            count: Number of its markers.
-
-        Returns:
-            Those with one of these ids, which are then counted from 0.
-        """
-        used = self.select((self.ids >= first) & (self.ids < first + count))
-        return Markers(used.ids - first, used.corners)
+    def of_ids(self, ids: Integers) -> Markers:
+        """Return the markers of a board, whose ids are then their places among ``ids`` (n,), from 0."""
+        place = {number: k for k, number in enumerate(ids.tolist())}
+        used = self.select(np.isin(self.ids, ids))
+        return Markers(np.array([place[k] for k in used.ids.tolist()], dtype=int), used.corners)
 
 
 def no_markers() -> Markers:
@@ -76,6 +68,8 @@ def find_markers(
     dictionary: str,
     *,
     thorough: bool = False,
+    enlarged: int = 1,
+    border: int = 1,
 ) -> Markers:
     """Find the markers of a dictionary in an image.
 
@@ -83,6 +77,8 @@ def find_markers(
         image: Grey values, 8 bits, shape (height, width).
         dictionary: Name of the dictionary.
         thorough: True to search three times as long, which finds some more markers that are blurred or badly lit.
+        enlarged: Factor by which the image is enlarged first, which finds smaller markers.
+        border: Width of the black border of the markers [bits].
 
     Returns:
         The markers, with OpenCV's corners: to about half a pixel.
@@ -92,12 +88,6 @@ def find_markers(
     """
     cv2 = opencv()
     aruco = cv2.aruco
-    number = getattr(aruco, dictionary, None) if dictionary in DICTIONARIES else None
-    if number is None:
-        raise CalibError(
-            f"OpenCV {cv2.__version__} has no dictionary of markers '{dictionary}'; a newer one may: pip install "
-            "--upgrade opencv-python-headless"
-        )
     parameters = aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMax = _WIDEST_THRESHOLD
     parameters.adaptiveThreshWinSizeStep = _THOROUGH_STEP if thorough else _THRESHOLD_STEP
@@ -106,12 +96,17 @@ def find_markers(
     parameters.minDistanceToBorder = 1
     parameters.minMarkerDistanceRate = 0.02
     parameters.perspectiveRemovePixelPerCell = 8
+    parameters.markerBorderBits = border
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(number), parameters)
+    detector = aruco.ArucoDetector(opencv_dictionary(dictionary), parameters)
+    if enlarged > 1:
+        size = (enlarged * image.shape[1], enlarged * image.shape[0])
+        image = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
     corners, ids, _ = detector.detectMarkers(image)
     if ids is None or len(ids) == 0:
         return no_markers()
     quadrilaterals = np.array(corners, dtype=np.float64).reshape(-1, 4, 2)
+    quadrilaterals = (quadrilaterals + 0.5) / enlarged - 0.5
     return _without_doubles(Markers(np.asarray(ids, dtype=int).reshape(-1), quadrilaterals))
 
 
@@ -141,6 +136,9 @@ _FINE = 0.15
 #: Tolerance with which they agree with the homography of the neighbouring markers, in sides of the marker.
 _BESIDE = 0.3
 
+#: Distance of a marker's middle from where it is predicted at which it is the same marker, in sides of the marker.
+_INSIDE = 0.5
+
 #: Number of neighbours that predict where a marker is.
 _NEIGHBOURS = 4
 
@@ -163,31 +161,41 @@ class Placement(Value):
     map: PlanarMap
     #: The markers that agree, shape (m,).
     agrees: Mask
+    #: Number of the others that are where the board has them, though their outlines are not.
+    ill_outlined: int = 0
+    #: Fewest markers that place the board.
+    fewest: int = FEWEST_MARKERS
 
     @property
     def is_sound(self) -> bool:
-        """True if two markers or more agree with the place, and few enough do not."""
+        """True if two markers or more agree with the place, or the only one, and few enough do not."""
         allowed = max(1.0, _MISREAD_SHARE * len(self.agrees))
-        return int(self.agrees.sum()) >= FEWEST_MARKERS and self.misread <= allowed
+        return int(self.agrees.sum()) >= self.fewest and self.misread <= allowed
 
     @property
     def misread(self) -> int:
-        """Number of the markers that do not agree."""
-        return int((~self.agrees).sum())
+        """Number of the markers that are not where the board has them."""
+        return int((~self.agrees).sum()) - self.ill_outlined
 
 
-def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) -> Placement | None:
+def place_board(
+    markers: Markers, layout: Array, image_size: tuple[int, int], *, are_touched: bool = False
+) -> Placement | None:
     """Fit a map from a board to an image by the markers found, leaving out those that were misread.
 
     Args:
         markers: The markers of the board that were found, with ids counted from 0.
         layout: Corners of all markers of the board, shape (markers, 4, 2) [m].
         image_size: Width and height [px].
+        are_touched: True if other black squares touch the corners of the markers, so that an outline may include a part
+            of them and the id is right all the same.
 
     Returns:
-        The placement on which most markers agree, sound or not; None for fewer than two markers, or no agreement.
+        The placement on which most markers agree, sound or not; None for fewer than two markers, unless the board has
+        one only, or for no agreement.
     """
-    if len(markers.ids) < FEWEST_MARKERS:
+    fewest = min(FEWEST_MARKERS, len(layout))
+    if len(markers.ids) < fewest:
         return None
     points = layout[markers.ids]
 
@@ -200,7 +208,7 @@ def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) ->
     if used is None:
         return None
     agrees = np.asarray(used.reshape(-1, 4).astype(bool).all(axis=1))
-    if agrees.sum() < FEWEST_MARKERS:
+    if agrees.sum() < fewest:
         return None
 
     # The map that includes the lens, refitted to the markers whose corners are where it predicts them.
@@ -210,11 +218,17 @@ def place_board(markers: Markers, layout: Array, image_size: tuple[int, int]) ->
         )
         before = agrees
         agrees = _agree_with_map(planar_map, points, markers)
-        if agrees.sum() < FEWEST_MARKERS:
+        if agrees.sum() < fewest:
             return None
         if (agrees == before).all():
             break
-    return Placement(planar_map, agrees | _agree_with_neighbours(points, markers, agrees))
+    agrees = agrees | _agree_with_neighbours(points, markers, agrees)
+    ill_outlined = 0
+    if are_touched:
+        middles = planar_map.project(points.mean(axis=1))
+        away = np.linalg.norm(markers.corners.mean(axis=1) - middles, axis=1)
+        ill_outlined = int(np.sum(~agrees & (away < _INSIDE * markers.sides)))
+    return Placement(planar_map, agrees, ill_outlined, fewest)
 
 
 def _agree_with_map(planar_map: PlanarMap, points: Array, markers: Markers) -> Mask:

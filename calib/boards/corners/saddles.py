@@ -144,6 +144,8 @@ def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) ->
     pixels = np.full((len(expected), 2), np.nan)
     sigma = np.full(len(expected), np.nan)
     for k in range(len(expected)):
+        if not np.isfinite(windows[k]).all():
+            continue
         # A window that is not too wide along either edge, and nowhere too narrow.
         lengths = np.sqrt(np.sum(windows[k] ** 2, axis=0))
         U, singular, Vt = np.linalg.svd(windows[k] * np.minimum(1.0, _WIDEST / lengths))

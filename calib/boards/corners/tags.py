@@ -25,14 +25,20 @@ _FROM = 0.08
 #: Its end, in lengths of the edge.
 _TO = 0.55
 
-#: Shortest and longest reach to either side of an edge [px].
+#: Shortest and longest reach to either side of an edge [px]; the longest is as many cells at least, for a large tag
+#: may be blurred over more pixels.
 _REACH = (1.5, 3.5)
+_REACH_IN_CELLS = 0.25
 
 #: Distance between samples across an edge [px].
 _STEP = 0.5
 
-#: Number of iterations, each sampling around the lines of the last.
-_ROUNDS = 3
+#: Fewest and most iterations, each sampling around the lines of the last: an edge blurred beyond the reach draws the
+#: lines nearer each time.
+_ROUNDS = (3, 20)
+
+#: Move of the corners below which the iterations end [px].
+_STILL = 0.01
 
 #: Fewest places along half an edge for a line.
 _FEWEST = 4
@@ -74,14 +80,17 @@ def tag_corners(image: Array, quadrilaterals: Array) -> Saddles:
     sigma = np.full(4 * len(quadrilaterals), np.nan)
     for k, corners in enumerate(quadrilaterals):
         refined = corners
-        for _ in range(_ROUNDS):
+        for number in range(1, _ROUNDS[1] + 1):
             ends = [_corner(image, refined, j) for j in range(4)]
             if any(corner is None for corner in ends):
                 break
             known = [corner for corner in ends if corner is not None]
+            last = refined
             refined = np.array([place for place, _ in known])
             pixels[4 * k : 4 * k + 4] = refined
             sigma[4 * k : 4 * k + 4] = [uncertainty for _, uncertainty in known]
+            if number >= _ROUNDS[0] and np.abs(refined - last).max() < _STILL:
+                break
     return Saddles(pixels, sigma)
 
 
@@ -110,7 +119,8 @@ def _line(image: Array, corner: Array, other: Array, inside: float) -> _Line | N
     length = float(np.hypot(*(other - corner)))
     direction = (other - corner) / length
     outwards = inside * np.array([-direction[1], direction[0]])
-    reach = float(np.clip(0.7 * length / _CELLS, *_REACH))
+    cell = length / _CELLS
+    reach = float(np.clip(0.7 * cell, _REACH[0], max(_REACH[1], _REACH_IN_CELLS * cell)))
     count = int((_TO - _FROM) * length)
     if count < _FEWEST:
         return None

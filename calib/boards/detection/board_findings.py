@@ -13,11 +13,12 @@ import numpy as np
 import calib.basics.jobs as jobs
 from calib.basics.arrays import Array
 from calib.basics.values import Value
-from calib.boards.board import CHARUCO, CHESSBOARD, Board, marker_outlines
-from calib.boards.corners.chessboards import is_ambiguous, size_of_chessboard
+from calib.boards.board import BODY, CHARUCO, CHESSBOARD, Board, marker_outlines
+from calib.boards.corners.chessboards import size_of_chessboard
 from calib.boards.corners.markers import Markers, find_markers, place_board
 from calib.boards.corners.planar_map import fit_planar_map
 from calib.boards.detection.board_search import (
+    BLURRED,
     FEW_CORNERS,
     LAYOUT,
     MIRRORED,
@@ -25,6 +26,7 @@ from calib.boards.detection.board_search import (
     TWO_BOARDS,
     BoardView,
 )
+from calib.boards.detection.copies import as_it_is
 from calib.boards.detection.picture import OTHER_SIZE, ImageFile, Picture, read_image
 from calib.boards.dictionaries import KINDS, kind_of, smallest_dictionary
 from calib.errors import CalibError
@@ -37,6 +39,9 @@ LEGACY = "legacy"
 
 #: Another number of columns or rows.
 SIZE = "size"
+
+#: A chessboard is described by the numbers of its inner corners, not of its squares.
+INNER_CORNERS = "inner_corners"
 
 #: Markers of another size in the same squares.
 RATIO = "ratio"
@@ -63,7 +68,16 @@ UNSEEN_ROW = "unseen_row"
 SAME_PICTURE = "same_picture"
 
 #: Findings that the description is wrong, so that no corner of the board can be trusted.
-WRONG_DESCRIPTION = (SWAPPED, LEGACY, SIZE, RATIO, FIRST_MARKER, DICTIONARY, UNEXPLAINED)
+WRONG_DESCRIPTION = (
+    SWAPPED,
+    LEGACY,
+    SIZE,
+    INNER_CORNERS,
+    RATIO,
+    FIRST_MARKER,
+    DICTIONARY,
+    UNEXPLAINED,
+)
 
 #: Largest relative error of the markers' size; with a larger one it is another print.
 _RATIO_TOLERANCE = 0.05
@@ -74,8 +88,8 @@ _FEWEST_PICTURES = 3
 #: Fewest markers with further ids in a picture for a board with more rows than described.
 _FEWEST_MORE = 2
 
-#: Number of pictures in which another pattern is sought.
-_MOST_SEARCHED = 2
+#: Number of pictures in which another pattern is sought; a chessboard of another size needs a majority of them.
+_MOST_SEARCHED = 5
 
 #: Fewest different markers of another dictionary that are not an accident.
 _FEWEST_MARKERS = 4
@@ -85,7 +99,7 @@ _FEWEST_MARKERS = 4
 class Finding(Value):
     """Something to correct, or to know."""
 
-    #: One of the codes of this module, or of `board_search` beside it.
+    #: One of the codes of this module, or of `board_search` and `copies` beside it.
     code: str
     #: The board's name; "" if it is not about one.
     board: str = ""
@@ -130,15 +144,26 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
         pictures: The pictures that could be read, with the markers of the board's dictionary.
     """
     by_reason: dict[str, list[Picture]] = defaultdict(list)
+    by_copy: dict[str, list[Picture]] = defaultdict(list)
     for picture in pictures:
-        by_reason[_view(picture, board).reason].append(picture)
-    if board.pattern == CHESSBOARD:
-        if is_ambiguous(board):
-            yield Finding(code=AMBIGUOUS, board=board.name)
+        view = _view(picture, board)
+        by_reason[view.reason].append(picture)
+        if view.is_used and view.copy:
+            by_copy[view.copy].append(picture)
+    for code, of_copy in by_copy.items():
+        yield Finding(code=code, board=board.name, pictures=_names(of_copy))
+    if board.looks_same_turned and by_reason[""]:
+        yield Finding(code=AMBIGUOUS, board=board.name)
+    if not board.markers:
         return
     for code in (MIRRORED, TWO_BOARDS):
         if by_reason[code]:
             yield Finding(code=code, board=board.name, pictures=_names(by_reason[code]))
+
+    if board.pattern == BODY:
+        if by_reason[LAYOUT]:
+            yield Finding(code=UNEXPLAINED, board=board.name, pictures=_names(by_reason[LAYOUT]))
+        return
 
     # Why markers are not where the description has them; an id or two that were misread are not a reason.
     wrong = by_reason[LAYOUT]
@@ -163,7 +188,7 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
     larger = []
     seen_ids: set[int] = set()
     for picture in placed:
-        ids = picture.markers[board.dictionary].ids
+        ids = picture.markers[board.marker_kind].ids
         seen_ids |= set(ids.tolist())
         further = (ids >= last) & (ids < last + board.columns)
         if further.sum() >= _FEWEST_MORE:
@@ -196,7 +221,8 @@ def other_pattern(
         The finding of another dictionary, or of a chessboard of another size; none if neither is seen.
     """
     # A chessboard with more columns or rows is another one.
-    reasons = (NO_BOARD, LAYOUT) if board.pattern == CHESSBOARD else (NO_BOARD,)
+    is_chessboard = board.pattern == CHESSBOARD
+    reasons = (NO_BOARD, LAYOUT, BLURRED, FEW_CORNERS) if is_chessboard else (NO_BOARD,)
     without = [picture for picture in pictures if _view(picture, board).reason in reasons]
     if not without or len(without) < len(pictures) / 2:
         return []
@@ -210,10 +236,16 @@ def other_pattern(
         described = (max(board.columns, board.rows), min(board.columns, board.rows))
         if not sizes or sizes.most_common(1)[0][0] == described:
             return []
-        larger, smaller = sizes.most_common(1)[0][0]
-        better = replace(board, columns=larger, rows=smaller)
-        return [Finding(code=SIZE, board=board.name, pictures=_names(without), better=better)]
+        columns, rows = sizes.most_common(1)[0][0]
+        if board.columns < board.rows:
+            columns, rows = rows, columns
+        better = replace(board, columns=columns, rows=rows)
+        is_by_corners = (board.columns, board.rows) == (columns - 1, rows - 1)
+        code = INNER_CORNERS if is_by_corners else SIZE
+        return [Finding(code=code, board=board.name, pictures=_names(without), better=better)]
 
+    if not board.markers:
+        return []
     ids: dict[tuple[str, ...], set[int]] = defaultdict(set)
     for _, of_file in jobs.run(_ids_in, None, files, executor):
         for kind, seen in of_file.items():
@@ -230,12 +262,12 @@ def other_pattern(
 
 def _chessboard_in(_: None, file: ImageFile) -> tuple[int, int] | None:
     """Return columns and rows of whatever chessboard a picture shows, the larger number first; None without one."""
-    return size_of_chessboard(read_image(file))
+    return size_of_chessboard(as_it_is(read_image(file)).image)
 
 
 def _ids_in(_: None, file: ImageFile) -> dict[tuple[str, ...], set[int]]:
     """Return the ids of the markers in a picture by the kinds of dictionary, of `KINDS`, in which they were sought."""
-    image = read_image(file)
+    image = as_it_is(read_image(file)).image
     return {kind: set(find_markers(image, kind[-1]).ids.tolist()) for kind in KINDS}
 
 
@@ -270,7 +302,7 @@ def _view(picture: Picture, board: Board) -> BoardView:
 
 def _seen(board: Board, pictures: Sequence[Picture]) -> list[Seen]:
     """Return the markers of a board's dictionary in pictures, with the sizes of the pictures."""
-    return [(picture.markers[board.dictionary], picture.size) for picture in pictures]
+    return [(picture.markers[board.marker_kind], picture.size) for picture in pictures]
 
 
 def _is_as_described(board: Board, ratio: float) -> bool:
@@ -342,7 +374,7 @@ def measured_ratio(board: Board, seen: Sequence[Seen]) -> float:
     layout = marker_outlines(board)
     ratios = []
     for markers, image_size in seen:
-        inside = markers.of_ids(board.first_marker, board.markers)
+        inside = markers.of_ids(board.marker_ids)
         if len(inside.ids) < _FEWEST_FOR_RATIO:
             continue
         placement = place_board(inside, layout, image_size)
@@ -376,7 +408,7 @@ def _agreeing_share(board: Board, seen: Sequence[Seen]) -> float:
     total = 0
     for markers, image_size in seen:
         total += len(markers.ids)
-        inside = markers.of_ids(board.first_marker, board.markers)
+        inside = markers.of_ids(board.marker_ids)
         placement = place_board(inside, layout, image_size)
         agreeing += 0 if placement is None else int(placement.agrees.sum())
     return agreeing / total

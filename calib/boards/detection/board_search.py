@@ -9,13 +9,15 @@ import numpy as np
 
 from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
-from calib.boards.board import APRILTAG, CHESSBOARD, Board, marker_outlines
+from calib.boards.board import APRILGRID, APRILTAG, BODY, CHESSBOARD, ROUND, Board, marker_outlines
+from calib.boards.corners.body_views import agreeing_tags
 from calib.boards.corners.chessboards import (
     find_chessboard,
     find_inner_corners,
     is_part_of_larger,
     visible_corners,
 )
+from calib.boards.corners.circles import find_circles, refine_circles
 from calib.boards.corners.markers import (
     FEWEST_MARKERS,
     Markers,
@@ -34,6 +36,12 @@ NO_BOARD = "no_board"
 
 #: The board is found only in a smaller copy of the image, or the image is blurred.
 BLURRED = "blurred"
+
+#: There is hardly any contrast in the picture: no light, or a cap on the lens.
+FLAT = "flat"
+
+#: Most of the picture is as bright as can be.
+OVEREXPOSED = "overexposed"
 
 #: The board is found only in the mirrored image.
 MIRRORED = "mirrored"
@@ -55,6 +63,13 @@ _SECOND_BOARD = 3
 
 #: Factors by which the copies are smaller in which a blurred board is sought.
 _SMALLER = (2, 4)
+
+#: Smallest difference between the darkest and the brightest pixels, one in a thousand each, in which there may be a
+#: board [grey values]: that of a corner, see `saddles`.
+_LEAST_CONTRAST = 8.0
+
+#: Share of the pixels at the highest grey value above which a picture is overexposed.
+_OVEREXPOSED = 0.5
 
 #: Blur above which a picture without a board is called blurred [px].
 _BLURRED = 3.0
@@ -87,6 +102,8 @@ class BoardView(Value):
     rms: float = np.nan
     #: Number of markers that are not where the others and the description have them.
     misread: int = 0
+    #: The copy of the picture that shows it, one of the codes of `copies`; "" for the picture as it is.
+    copy: str = ""
     #: Why the corners are not used, one of the codes above; "" if they are used.
     reason: str = ""
 
@@ -106,6 +123,8 @@ def search_board(
     board: Board,
     markers: Markers,
     fewest: int = FEWEST_CORNERS,
+    *,
+    grey: Array | None = None,
 ) -> BoardView:
     """Search an image for the corners of a board.
 
@@ -114,29 +133,43 @@ def search_board(
         board: The board.
         markers: All markers of its dictionary that the image shows; none for a chessboard.
         fewest: Fewest corners with which the image is used.
+        grey: The same grey values before they were rounded to 8 bits, shape (height, width); None: those of the image.
 
     Returns:
         The corners, and the reason if they are not used.
     """
-    grey = np.asarray(image, dtype=np.float64)
+    if grey is None:
+        grey = np.asarray(image, dtype=np.float64)
     image_size = (image.shape[1], image.shape[0])
     misread = 0
     if board.pattern == CHESSBOARD:
         chessboard = find_chessboard(image, board)
         if chessboard is None:
             return _empty(board, NO_BOARD)
-        planar_map, pixels = chessboard
         saddles, planar_map = find_inner_corners(
-            grey, board, planar_map, board.corners[:, :2], pixels
+            grey,
+            board,
+            chessboard.map,
+            board.corners[:, :2],
+            chessboard.pixels,
+            is_white_first=chessboard.is_white_first,
         )
         if is_part_of_larger(grey, board, planar_map):
             return _empty(board, LAYOUT)
-    else:
-        markers = markers.of_ids(board.first_marker, board.markers)
-        layout = marker_outlines(board)
-        placement = place_board(markers, layout, image_size)
-        if len(markers.ids) < FEWEST_MARKERS:
+    elif board.pattern == BODY:
+        return _search_body(grey, board, markers.of_ids(board.marker_ids), fewest)
+    elif board.pattern in ROUND:
+        circles = find_circles(image, board)
+        if circles is None:
             return _empty(board, NO_BOARD)
+        saddles, planar_map = refine_circles(grey, board, circles)
+    else:
+        markers = markers.of_ids(board.marker_ids)
+        layout = marker_outlines(board)
+        if len(markers.ids) < min(FEWEST_MARKERS, board.markers):
+            return _empty(board, NO_BOARD)
+        are_touched = board.pattern == APRILGRID
+        placement = place_board(markers, layout, image_size, are_touched=are_touched)
         if placement is not None:
             # Markers that do not agree on the board, but have ids of it, may make a second one.
             others = markers.select(~placement.agrees)
@@ -167,7 +200,7 @@ def search_board(
     predicted = planar_map.project(board.corners[exist, :2])
     square = np.sum((saddles.pixels[exist] - predicted) ** 2, axis=1)
     reason = ""
-    if exist.sum() < fewest:
+    if exist.sum() < min(fewest, len(board.corners)):
         reason = CUT if visible < len(board.corners) else FEW_CORNERS
     return BoardView(
         board=board.name,
@@ -181,14 +214,46 @@ def search_board(
     )
 
 
+def _search_body(grey: Array, board: Board, markers: Markers, fewest: int) -> BoardView:
+    """Return the corners of the tags of a body, by their ids, that agree on its pose; ``fewest`` as of `search_board`.
+
+    An image shows a side of it only, and so one tag is enough.
+    """
+    if not len(markers.ids):
+        return _empty(board, NO_BOARD)
+    layout = board.corners.reshape(-1, 4, 3)
+    agrees = agreeing_tags(markers, layout, (grey.shape[1], grey.shape[0]))
+    if agrees is None:
+        return _empty(board, LAYOUT)
+    used = markers.select(agrees)
+    ids = (4 * used.ids[:, None] + np.arange(4)).reshape(-1)
+    order = np.argsort(ids)
+    saddles = tag_corners(grey, used.corners)
+    found = saddles.exist[order]
+    return BoardView(
+        board=board.name,
+        ids=ids[order][found],
+        pixels=saddles.pixels[order][found],
+        sigma=saddles.sigma[order][found],
+        visible=len(ids),
+        misread=int((~agrees).sum()),
+        reason="" if found.sum() >= min(fewest, 4) else FEW_CORNERS,
+    )
+
+
 def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
-    """Return why a board is not found in an image: `MIRRORED`, `BLURRED` or `NO_BOARD`.
+    """Return why a board is not found in an image: `MIRRORED`, `FLAT`, `OVEREXPOSED`, `BLURRED` or `NO_BOARD`.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).
         board: The board.
     """
-    if board.pattern != CHESSBOARD and _is_in(np.ascontiguousarray(image[:, ::-1]), board):
+    if np.mean(image == np.iinfo(image.dtype).max) > _OVEREXPOSED:
+        return OVEREXPOSED
+    darkest, brightest = np.quantile(image, [1e-3, 1.0 - 1e-3])
+    if brightest - darkest < _LEAST_CONTRAST:
+        return FLAT
+    if board.markers and _is_in(np.ascontiguousarray(image[:, ::-1]), board):
         return MIRRORED
     cv2 = opencv()
     for factor in _SMALLER:
@@ -230,8 +295,18 @@ def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
     """Return True if a board is found in an image, grey values (h, w), roughly: whether it is there, not where."""
     if board.pattern == CHESSBOARD:
         return find_chessboard(image, board) is not None
-    markers = find_markers(image, board.dictionary).of_ids(board.first_marker, board.markers)
-    placement = place_board(markers, marker_outlines(board), (image.shape[1], image.shape[0]))
+    if board.pattern in ROUND:
+        return find_circles(image, board) is not None
+    markers = find_markers(image, board.dictionary, border=board.border)
+    markers = markers.of_ids(board.marker_ids)
+    if board.pattern == BODY:
+        return len(markers.ids) >= min(FEWEST_MARKERS, board.markers)
+    placement = place_board(
+        markers,
+        marker_outlines(board),
+        (image.shape[1], image.shape[0]),
+        are_touched=board.pattern == APRILGRID,
+    )
     return placement is not None and placement.is_sound
 
 

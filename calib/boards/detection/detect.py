@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
+import numpy as np
+
 import calib.basics.jobs as jobs
 from calib.basics.arguments import (
     check_callable,
@@ -17,7 +19,7 @@ from calib.basics.arguments import (
     wrong_type,
 )
 from calib.basics.values import Value
-from calib.boards.board import CHESSBOARD, Board
+from calib.boards.board import Board
 from calib.boards.detection.board_findings import (
     Finding,
     board_findings,
@@ -134,13 +136,13 @@ def check_boards(boards: Sequence[Board]) -> None:
     for first, second in combinations(boards, 2):
         if first.name == second.name:
             raise CalibError(f"Two boards have the name '{first.name}'; give each its own.")
-        if CHESSBOARD in (first.pattern, second.pattern):
+        if not (first.markers and second.markers):
             sizes = [{board.columns, board.rows} for board in (first, second)]
             is_same = first.pattern == second.pattern and sizes[0] == sizes[1]
         else:
-            begin = max(first.first_marker, second.first_marker)
-            end = min(first.first_marker + first.markers, second.first_marker + second.markers)
-            is_same = kind_of(first.dictionary) == kind_of(second.dictionary) and begin < end
+            shared = np.intersect1d(first.marker_ids, second.marker_ids)
+            is_kind = kind_of(first.dictionary) == kind_of(second.dictionary)
+            is_same = is_kind and first.border == second.border and len(shared) > 0
         if is_same:
             raise CalibError(
                 f"The boards {choices([first.name, second.name])} look alike in a picture: they have the same size, or "

@@ -16,9 +16,16 @@ import numpy as np
 
 from calib.basics.files import read_bytes
 from calib.basics.values import ReadOnlyMapping, Value
-from calib.boards.board import CHESSBOARD, Board
+from calib.boards.board import Board
 from calib.boards.corners.markers import Markers, find_markers, no_markers
-from calib.boards.detection.board_search import NO_BOARD, BoardView, reason_of_nothing, search_board
+from calib.boards.detection.board_search import (
+    FEW_CORNERS,
+    NO_BOARD,
+    BoardView,
+    reason_of_nothing,
+    search_board,
+)
+from calib.boards.detection.copies import Copy, as_it_is, further_copies
 from calib.boards.opencv import opencv
 from calib.errors import FileError, choices
 
@@ -53,7 +60,8 @@ def find_images(
 
     Args:
         words: Files, folders (all pictures in them), and patterns such as ``run/*.png``; ``**`` descends into folders.
-        cameras: Names of cameras by the folders with their pictures, "" for all other pictures. None: not stated.
+        cameras: Names of cameras by the folders with their pictures, or by patterns of the pictures' names (``cam1_*``,
+            with or without folders in front), "" for all other pictures. None: not stated.
 
     Returns:
         The pictures, each once, in the order of the words; those of a folder or pattern sorted, numbers by value.
@@ -66,32 +74,37 @@ def find_images(
         for path in _named_by(word):
             paths.setdefault(os.path.realpath(path), path)
     unique = list(paths.values())
-    folders = {os.path.realpath(folder): name for folder, name in (cameras or {}).items() if folder}
-    of_others = (cameras or {}).get("", "")
+    stated = cameras or {}
+    patterns = [word for word in stated if _PATTERN.search(word) and not Path(word).is_dir()]
+    folders = {
+        os.path.realpath(word): stated[word] for word in stated if word not in (*patterns, "")
+    }
+    of_others = stated.get("", "")
     images = []
     for path, name in zip(unique, _names(unique), strict=True):
-        # The innermost of the folders that the picture is in.
+        # A pattern that its name fits, otherwise the innermost of the folders that the picture is in.
+        named = [stated[pattern] for pattern in patterns if path.match(pattern)]
         around = [str(folder) for folder in Path(os.path.realpath(path)).parents]
-        named = [folders[folder] for folder in around if folder in folders]
+        named += [folders[folder] for folder in around if folder in folders]
         images.append(ImageFile(path, name, named[0] if named else of_others))
-    without = set((cameras or {}).values()) - {image.camera for image in images}
+    without = set(stated.values()) - {image.camera for image in images}
     if without:
         raise FileError(
             f"There is no picture of the camera {choices(sorted(without))}; name its folder, one of those with the "
-            'pictures: --camera-name "NAME=FOLDER".'
+            'pictures, or a pattern of their names: --camera-name "NAME=FOLDER", --camera-name "NAME=cam1_*".'
         )
     return tuple(images)
 
 
-def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is not
+def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8 or 16 bits, which Array is not
     """Read a picture.
 
     Args:
         image: The file.
 
     Returns:
-        Grey values, 8 bits, shape (height, width), as stored: an orientation tag is ignored, since a camera's
-        intrinsics refer to its sensor. None if the file is not a picture.
+        Grey values as stored, 8 or 16 bits, or real numbers, shape (height, width): an orientation tag is ignored,
+        since a camera's intrinsics refer to its sensor. None if the file is not a picture.
 
     Raises:
         FileError: The file cannot be read.
@@ -100,7 +113,8 @@ def read_image(image: ImageFile) -> Any:  # noqa: ANN401  8-bit, which Array is 
     data = np.frombuffer(read_bytes(image.path, "The picture"), dtype=np.uint8)
     if not len(data):
         return None
-    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    return cv2.imdecode(data, flags)
 
 
 def _named_by(word: str | Path) -> list[Path]:
@@ -166,6 +180,9 @@ OTHER_SIZE = "other_size"
 #: No row of joint values belongs to it.
 NO_ROW = "no_row"
 
+#: Reasons that another copy of the picture may take away.
+_MAY_BE_BETTER = (NO_BOARD, FEW_CORNERS)
+
 #: Longer side of a small copy [px].
 _SMALL = 480
 
@@ -195,7 +212,7 @@ class Picture(Value):
     views: tuple[BoardView, ...] = ()
     #: Why nothing of it is used; "" if something is, or if the reasons of the views say it.
     reason: str = ""
-    #: The markers in it by the name of their dictionary.
+    #: The markers in it by their `Board.marker_kind`.
     markers: ReadOnlyMapping[str, Markers] = field(default_factory=ReadOnlyMapping)
     #: Hash of its grey values.
     sha256: str = ""
@@ -227,18 +244,12 @@ def search_picture(search: Search, file: ImageFile) -> Picture:
         image = None
     if image is None:
         return Picture(file=file, reason=UNREADABLE)
-    markers, views = _search(search, image, thorough=False)
-    if not all(view.is_used and view.is_complete for view in views):
-        markers, views = _search(search, image, thorough=True)
-    if all(view.reason == NO_BOARD for view in views):
-        views = [
-            replace(view, reason=reason_of_nothing(image, board))
-            for view, board in zip(views, search.boards, strict=True)
-        ]
+    copy = as_it_is(image)
+    markers, views = search_image(search, copy)
     scale = min(1.0, _SMALL / max(image.shape))
     size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
-    copy = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, small = cv2.imencode(".jpg", copy, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    shown = cv2.resize(copy.image, size, interpolation=cv2.INTER_AREA)
+    _, small = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return Picture(
         file=file,
         size=(image.shape[1], image.shape[0]),
@@ -249,17 +260,69 @@ def search_picture(search: Search, file: ImageFile) -> Picture:
     )
 
 
+def search_image(search: Search, copy: Copy) -> tuple[dict[str, Markers], list[BoardView]]:
+    """Search a picture for boards, and if it does not show them also its copies.
+
+    Args:
+        search: The boards.
+        copy: The picture as it is.
+
+    Returns:
+        The markers in the picture by their `Board.marker_kind`, and what it shows of each board.
+    """
+    markers, views = _search(search, copy, thorough=False)
+    has_markers = any(board.markers for board in search.boards)
+    if has_markers and not all(view.is_used and view.is_complete for view in views):
+        markers, views = _search(search, copy, thorough=True)
+    is_seen = any(view.is_used for view in views)
+    for other in further_copies(copy, is_seen=is_seen, has_markers=has_markers):
+        if not any(view.reason in _MAY_BE_BETTER or not view.is_complete for view in views):
+            break
+        further, found = _search(search, other, thorough=True)
+        if _corner_count(found) > _corner_count(views):
+            markers, views = further, found
+    if all(view.reason == NO_BOARD for view in views):
+        views = [
+            replace(view, reason=reason_of_nothing(copy.image, board))
+            for view, board in zip(views, search.boards, strict=True)
+        ]
+    return markers, views
+
+
+def _corner_count(views: Sequence[BoardView]) -> int:
+    """Return the number of corners that are used of all boards in a picture."""
+    return sum(len(view.ids) for view in views if view.is_used)
+
+
 def _search(
-    search: Search,
-    image: Any,  # noqa: ANN401  8-bit
-    *,
-    thorough: bool,
+    search: Search, copy: Copy, *, thorough: bool
 ) -> tuple[dict[str, Markers], list[BoardView]]:
-    """Return the markers in a picture by the name of their dictionary, and what it shows of each board."""
-    dictionaries = sorted({board.dictionary for board in search.boards if board.dictionary})
-    markers = {name: find_markers(image, name, thorough=thorough) for name in dictionaries}
+    """Return the markers in a copy by `Board.marker_kind`, and what it shows of each board, in the picture's pixels."""
+    markers: dict[str, Markers] = {}
     views = []
     for board in search.boards:
-        of_board = no_markers() if board.pattern == CHESSBOARD else markers[board.dictionary]
-        views.append(search_board(image, board, of_board, search.fewest))
-    return markers, views
+        of_board = no_markers()
+        if board.markers:
+            if board.marker_kind not in markers:
+                markers[board.marker_kind] = find_markers(
+                    copy.image,
+                    board.dictionary,
+                    thorough=thorough,
+                    enlarged=copy.enlarged,
+                    border=board.border,
+                )
+            of_board = markers[board.marker_kind]
+        view = search_board(copy.image, board, of_board, search.fewest, grey=copy.grey)
+        views.append(
+            replace(
+                view,
+                pixels=copy.in_picture(view.pixels),
+                sigma=copy.factor * view.sigma,
+                rms=copy.factor * view.rms,
+                copy=copy.code,
+            )
+        )
+    in_picture = {
+        name: Markers(found.ids, copy.in_picture(found.corners)) for name, found in markers.items()
+    }
+    return in_picture, views

@@ -7,6 +7,7 @@ besides is in `special_cases`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -166,6 +167,7 @@ def fit(
     *,
     registered: Setup | None = None,
     reference: Fitted | None = None,
+    near: Sequence[Fitted] = (),
 ) -> Fitted:
     """Register frames and targets on the nominal robot, and estimate all parameters from there.
 
@@ -176,6 +178,8 @@ def fit(
             if there is a reference.
         reference: Fit of another model to these rows, whose registration, weights, scores and limit are taken over;
             None to estimate the weights.
+        near: Fits from the same registered frames and targets, whose parameters are where this one begins, those of
+            the first that has one of the name; empty to begin at the means of the priors.
 
     Returns:
         The registered frames and targets, and the estimate from there.
@@ -214,7 +218,15 @@ def fit(
     problem = Problem.initial(kinematics, rows, task.distances).with_size_held()
     if task.has_weights_and_priors:
         prior = PriorTerms.of(task, model, registered)
-        estimate = estimate_within_bounds(problem, task, prior)
+        start = None
+        if near:
+            known: dict[str, float] = {}
+            for fitted in reversed(near):
+                names = fitted.kinematics.model.names
+                known.update(zip(names, fitted.estimate.x.tolist(), strict=True))
+            means = zip(model.names, prior.mean.tolist(), strict=True)
+            start = np.array([known.get(name, mean) for name, mean in means])
+        estimate = estimate_within_bounds(problem, task, prior, start)
         estimate = settle_pose_noise(estimate, problem, task, prior)
     else:
         estimate = paper_estimate(problem, task, registered)

@@ -123,7 +123,9 @@ class StageSolver:
         return self._linear
 
 
-def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
+def estimate_with_priors(
+    problem: Problem, task: Task, prior: PriorTerms, start: Array | None = None
+) -> Estimate:
     """Estimate the parameters, weights, noise and prior standard deviations, without regard to bounds.
 
     Args:
@@ -131,6 +133,7 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
         task: The fit.
         prior: Priors, at whose means the first solve begins; parameters that are held at a bound have a narrow one. Its
             source says whether their standard deviations are estimated or kept.
+        start: shape (p,), parameters where the first solve begins instead; None: there.
 
     Returns:
         The estimate, by all rows.
@@ -140,7 +143,7 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
     """
     rows = problem.rows
     weighting = Weighting.of(task.cell.repeats, task.robust, rows)
-    solver = StageSolver(problem, task, prior.mean)
+    solver = StageSolver(problem, task, prior.mean if start is None else start)
     every_row = np.ones((1, len(rows)), dtype=bool)
     first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
     stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting)
@@ -148,7 +151,9 @@ def estimate_with_priors(problem: Problem, task: Task, prior: PriorTerms) -> Est
     return estimate_at_stage(problem, stage, solution)
 
 
-def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> Estimate:
+def estimate_within_bounds(
+    problem: Problem, task: Task, prior: PriorTerms, start: Array | None = None
+) -> Estimate:
     """Estimate the parameters within their bounds, by an active set.
 
     A parameter that comes out beyond a bound is held at this bound, and all others are estimated again. When none is
@@ -159,6 +164,7 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
         problem: The least-squares problem.
         task: The fit.
         prior: Priors and bounds of the p parameters, none of them held.
+        start: shape (p,), parameters where the first solve begins; None: at the means of the priors.
 
     Returns:
         The last estimate, with the indices of the parameters that are held at a bound.
@@ -169,7 +175,7 @@ def estimate_within_bounds(problem: Problem, task: Task, prior: PriorTerms) -> E
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
     released: set[int] = set()
-    estimate = estimate_with_priors(problem, task, prior)
+    estimate = estimate_with_priors(problem, task, prior, start)
     for _ in range(_ROUNDS * problem.size):
         is_beyond = (estimate.x < low) | (estimate.x > high)
         beyond = np.flatnonzero(is_beyond).tolist()

@@ -73,7 +73,7 @@ def geometry_parameters(task: Task) -> dict[str, int]:
     counts: dict[str, int] = {}
     listed = set()
     for geometry in LADDER:
-        if task.robot.branches and geometry in OF_ONE_CHAIN:
+        if task.robot.is_tree and geometry in OF_ONE_CHAIN:
             continue
         names = replace(task, model=geometry).error_model().names
         if names and names not in listed:
@@ -100,6 +100,8 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     patterns: dict[str, Array] = {}
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
+        if not terms:
+            continue
         moves_joints = False
         patterns_on_chains = []
         for number, chain in enumerate(robot.chains):
@@ -145,7 +147,7 @@ def check_parameter_names(task: Task) -> None:
     without_frozen = replace(task, cell=replace(cell, frozen=(), ties={}))
     largest = model_name("placement", joint_families())
     known = set()
-    others = ("zeros",) if task.robot.branches else ("zeros", "dh", "hayati")
+    others = ("zeros",) if task.robot.is_tree else ("zeros", "dh", "hayati")
     for model in (largest, *others):
         known |= {*replace(without_frozen, model=model).error_model().names}
     urdf = task.robot.urdf

@@ -44,8 +44,14 @@ _FEWEST_SCALARS = 18.0
 #: From this number of rows on, a small fold hardly changes weights, noise and priors: those of the fit to all rows do.
 _MANY = 1500
 
+#: The same of corners in images, which have two scalars each.
+_MANY_CORNERS = 1000
+
 #: A fold is small if it holds out less than this share of the rows.
 _SMALL_SHARE = 0.15
+
+#: Steps that such a fold may take if the problem is not linear as far as it moves: each is far shorter than the last.
+_STEPS_OF_MANY = 3
 
 #: Rows of all folds together that are fitted at a time, for they are held in memory.
 _AT_A_TIME = 4096
@@ -219,23 +225,42 @@ def held_out_residuals_linear(
     residuals = {}
     for i in np.flatnonzero(admissible).tolist():
         k = numbers[i]
-        mask = masks[k]
-        # Where the fit without the fold has come to, the linear problem is compared with the robot itself, at the rows
-        # that the fold keeps.
-        residual = estimate.problem.residual(estimates[i])
-        linear_residual = rows.in_units(linear.residual(estimates[i]))
-        difference = (linear_residual - residual) / estimate.problem.scales
-        kept_rows = ~mask & (estimate.weights > 0.0)
-        kept = rows.used & kept_rows[:, None]
-        if not np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR:
+        mask, x = masks[k], estimates[i]
+        steps = _STEPS_OF_MANY if _hardly_changes(fitted, held_out) else 0
+        linear_there = linear
+        while not _is_linear(fitted, linear_there, x, mask) and steps:
+            # At the weights of the fit to all rows a fold takes few more steps, each on the problem linearised anew.
+            linear_there = estimate.problem.linear(x)
+            x = fold_posterior_means(fitted, linear_there, mask[None])[0]
+            steps -= 1
+        within = np.all((x >= low) & (x <= high))
+        if not within or not _is_linear(fitted, linear_there, x, mask):
             continue
 
-        residuals[k] = residual[mask]
+        residuals[k] = estimate.problem.residual(x)[mask]
         if np.any(seen_only_by(fitted, mask)):
             # Frames and targets that only the fold sees are registered to its rows.
-            without_fold = replace(fitted, estimate=replace(estimate, x=estimates[i]))
+            without_fold = replace(fitted, estimate=replace(estimate, x=x))
             residuals[k] = held_out_residual(without_fold, rows, mask, outliers)
     return residuals
+
+
+def _is_linear(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> bool:
+    """Return whether a linear problem predicts what the robot itself does with parameters x, (p,), at the kept rows.
+
+    Kept are the rows with a weight outside of the fold, a mask (N,).
+    """
+    problem, rows = fitted.estimate.problem, fitted.estimate.problem.rows
+    difference = (rows.in_units(linear.residual(x)) - problem.residual(x)) / problem.scales
+    kept = rows.used & (~mask & (fitted.estimate.weights > 0.0))[:, None]
+    return bool(np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR)
+
+
+def _hardly_changes(fitted: Fitted, masks: Mask) -> bool:
+    """Return whether folds, (F, N), are so small parts of so many rows that weights, noise and priors stay."""
+    rows = fitted.estimate.problem.rows
+    many = _MANY_CORNERS if np.all(rows.is_image) else _MANY
+    return len(rows) >= many and bool(masks.mean(axis=1).max() < _SMALL_SHARE)
 
 
 def _leaves_enough_rows(fitted: Fitted, mask: Mask) -> bool:
@@ -266,8 +291,7 @@ def _fit_without_folds(
     then the degrees of freedom are not counted, but infinite.
     """
     rows = fitted.estimate.problem.rows
-    largest_share = masks.mean(axis=1).max()
-    if len(rows) >= _MANY and largest_share < _SMALL_SHARE:
+    if _hardly_changes(fitted, masks):
         not_counted = np.full(len(masks), np.inf)
         return fold_posterior_means(fitted, linear, masks), not_counted
     weighting = Weighting.of(fitted.task.cell.repeats, fitted.task.robust, rows)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.basics.arrays import read_only
+from calib.basics.arrays import Mask, read_only
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
@@ -35,6 +35,12 @@ _MOST_SEARCHES = 2
 
 #: About how many rows choose the model; of more a part is drawn.
 _CHOSEN_BY = 2000
+
+#: The same of corners in images: those of one view share the robot's error there, and say of it what one pose does.
+_CHOSEN_BY_CORNERS = 600
+
+#: The fewest corners of a view: twice those that determine a pose.
+_CORNERS_OF_VIEW = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,20 +80,20 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
         SolverError: The residual of a fit is not finite at its start.
     """
     check_parameter_names(task)
-    some_rows = rows.select(rows.evenly(_CHOSEN_BY))
+    few_rows = rows.select(some_rows(rows))
     task = replace(task, allow_absent=True)
     geometries = geometry_parameters(task)
-    offered = determinable_families(task, some_rows)
+    offered = determinable_families(task, few_rows)
     families = tuple(family for family in offered if family not in excluded)
     if task.cell.priors.source == "off":
         # Without priors there must be a number for each parameter.
-        enough = [name for name, size in geometries.items() if size <= some_rows.count]
+        enough = [name for name, size in geometries.items() if size <= few_rows.count]
         largest = enough[-1] if enough else next(iter(geometries))
     else:
         usual = tuple(family for family in families if not family_of(family).rarity)
         largest = model_name(tuple(geometries)[-1], usual)
 
-    reference = fit(replace(task, model=largest), some_rows)
+    reference = fit(replace(task, model=largest), few_rows)
     start = without_vanished_families(largest, reference.estimate.prior_std)
     fitted_rows = reference.estimate.problem.rows
     search_task, search_rows = with_known_points(task, reference, fitted_rows)
@@ -115,10 +121,28 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
         return select(task, rows, (*excluded, *of_moves))
     candidates = mark_chosen(search.tried.values(), geometry, non_geometric)
 
-    if len(some_rows) < len(rows) or search_task is not task:
+    if len(few_rows) < len(rows) or search_task is not task:
         whole_task = replace(best_task, setup=task.setup)
-        chosen = fit(whole_task, rows, registered=reference.setup)
+        # With internals of points, the whole fit is so large that it begins where the search has come to.
+        near = () if search_task is task else (chosen, reference)
+        chosen = fit(whole_task, rows, registered=reference.setup, near=near)
     return Selection(geometry, non_geometric, candidates, chosen)
+
+
+def some_rows(rows: Rows) -> Mask:
+    """Return which rows are enough to choose a model by, or to test one.
+
+    Args:
+        rows: N rows; of corners in images fewer count, but some of each view.
+
+    Returns:
+        shape (N,), drawn evenly.
+    """
+    if not np.all(rows.is_image):
+        return rows.evenly(_CHOSEN_BY)
+    views = np.column_stack([rows.blocks, rows.samples.frame, rows.samples.target])
+    of_views = _CORNERS_OF_VIEW * len(np.unique(views, axis=0))
+    return rows.evenly(min(max(_CHOSEN_BY_CORNERS, of_views), _CHOSEN_BY))
 
 
 def with_known_points(task: Task, fitted: Fitted, rows: Rows) -> tuple[Task, Rows]:

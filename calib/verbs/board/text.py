@@ -6,13 +6,32 @@ import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
-from calib.boards.board import APRILTAG, CHARUCO, CHESSBOARD, Board
+from calib.boards.board import (
+    APRILGRID,
+    APRILTAG,
+    ASYMMETRIC_CIRCLES,
+    BODY,
+    CHARUCO,
+    CHESSBOARD,
+    CIRCLES,
+    ROUND,
+    TAGS,
+    Board,
+)
 from calib.boards.board_page import NO_PAPER, PAPERS, Sheet
 from calib.boards.printed import READING, PrintScale
 from calib.show.lines import fill, plural
 
 #: Names of the patterns.
-_PATTERNS = {CHARUCO: "ChArUco board", CHESSBOARD: "Chessboard", APRILTAG: "Grid of AprilTags"}
+_PATTERNS = {
+    CHARUCO: "ChArUco board",
+    CHESSBOARD: "Chessboard",
+    APRILTAG: "Grid of AprilTags",
+    BODY: "Body of tags",
+    APRILGRID: "AprilGrid of Kalibr",
+    CIRCLES: "Grid of circles",
+    ASYMMETRIC_CIRCLES: "Asymmetric grid of circles",
+}
 
 #: Maximum length of a board's name on the page [characters].
 _LONGEST_NAME = 20
@@ -41,8 +60,8 @@ _LEGACY_LAYOUT = (
 )
 
 _AMBIGUOUS = (
-    "Note: with columns and rows both even, or both odd, this chessboard looks the same after half a turn, so its "
-    "corners may be numbered from either end. Use one column more or less."
+    "Note: this board looks the same after half a turn, so only the robot's poses show which end is the first. A "
+    "chessboard of one column more or less, or an asymmetric grid with an odd number of rows, shows it."
 )
 
 _FITTED_TO_PAGE = (
@@ -58,18 +77,17 @@ def _mm(length: float) -> str:
 
 def _squares(board: Board) -> str:
     """Describe columns, rows and the size of squares or tags [mm], and a legacy layout."""
-    if board.pattern == APRILTAG:
-        return (
-            f"{board.columns} x {board.rows} tags of {_mm(board.marker)} every {_mm(board.square)}"
-        )
+    if board.pattern in (*TAGS, *ROUND):
+        what = "tags" if board.pattern in TAGS else "circles"
+        return f"{board.columns} x {board.rows} {what} of {_mm(board.marker)} every {_mm(board.square)}"
     text = f"{board.columns} x {board.rows} squares of {_mm(board.square)}"
     is_legacy = board.pattern == CHARUCO and board.legacy and board.rows % 2 == 0
     return f"{text}, legacy layout" if is_legacy else text
 
 
 def _markers(board: Board) -> str:
-    """Describe the markers; an empty text for a chessboard."""
-    if board.pattern == CHESSBOARD:
+    """Describe the markers; an empty text without any."""
+    if not board.markers:
         return ""
     last = board.first_marker + board.markers - 1
     text = f"{board.dictionary}, ids {board.first_marker} to {last}"
@@ -116,7 +134,7 @@ def drawn_text(board: Board, sheet: Sheet, paper: str, files: Iterable[Path]) ->
     corners = plural(len(board.corners), "corner")
     lines.append(fill(f"{corners}; {_mm(width)} wide and {_mm(height)} high, {where}."))
     note = ""
-    if board.pattern == CHESSBOARD and (board.columns + board.rows) % 2 == 0:
+    if board.looks_same_turned:
         note = _AMBIGUOUS
     elif board.pattern == CHARUCO and board.rows % 2 == 0:
         note = _LEGACY_LAYOUT if board.legacy else _NEW_LAYOUT
@@ -133,8 +151,10 @@ def _next_steps(board: Board, pdf: Path, toml: Path) -> list[str]:
     """Return lines on what to do: print, glue and measure the board, and the command that takes the measured width."""
     width = board.size[0]
     over = f"{board.columns} squares"
-    if board.pattern == APRILTAG:
-        over = f"{board.columns} tags, from edge to edge"
+    if board.pattern in (*TAGS, *ROUND):
+        over = (
+            f"{board.columns} {'tags' if board.pattern in TAGS else 'circles'}, from edge to edge"
+        )
     steps = [
         f"Print {pdf} at 100 % ('actual size', not 'fit to page'). Check that its rulers are as long as they say.",
         "Glue the print onto something flat and stiff, such as glass or an aluminium panel; cardboard bends.",
@@ -163,7 +183,8 @@ def measured_text(drawn: Board, measured: Board, scale: PrintScale, path: Path) 
     """
     over = "the whole pattern" if scale.squares is None else plural(scale.squares, "square")
     change = 100.0 * (scale.scale - 1.0)
-    what = "distances between tags" if drawn.pattern == APRILTAG else "squares"
+    is_apart = drawn.pattern in (*TAGS, *ROUND)
+    what = "distances between centres" if is_apart else "squares"
     text = (
         f"{_mm(scale.measured)} over {over}: {what} of {_mm(measured.square)}, {change:+.2f} % from the "
         f"{_mm(drawn.square)} in {path}."

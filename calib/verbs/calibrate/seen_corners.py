@@ -178,7 +178,7 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
         turned = np.einsum("nij,nj->ni", T_camera_board[:, :3, :3], printed)
         lens = list(LENSES.values())[int(values[0, optics.LENS])]
         by_point, _ = lens.derivatives(
-            turned + T_camera_board[:, :3, 3], values[:, : len(lens.names)]
+            turned + T_camera_board[:, :3, 3], values[:, optics.intrinsic_columns(lens)]
         )
         # A camera without a name may stand at several stations.
         station = m.groups[at[0]]

@@ -119,5 +119,5 @@ def _located_links(c: Calibration) -> Iterator[tuple[str, str, Array]]:
         if setup.target_unknown[t]:
             name = "calib_board" if of_image == {True} else TARGET_LINK
             several = len(setup.targets) > 1
-            tip = setup.target_links[t] if setup.target_links else c.robot.tip
-            yield f"{name}_{target}" if several else name, tip, setup.T_tip_target[t]
+            link = setup.target_links[t] if setup.target_links else c.robot.tip
+            yield f"{name}_{target}" if several else name, link, setup.T_tip_target[t]

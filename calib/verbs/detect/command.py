@@ -57,8 +57,8 @@ def detect(
         list[str] | None,
         typer.Option(
             metavar="NAME[=FOLDER]",
-            help="Name of the camera that took the pictures, or those in FOLDER; not needed if the table has a column "
-            "'group' or 'camera'. Can be repeated.",
+            help="Name of the camera that took the pictures, or those in FOLDER, or those whose names fit a pattern: "
+            "cam1=cam1_*. Not needed if the table has a column 'group' or 'camera'. Can be repeated.",
         ),
     ] = None,
     fewest: Annotated[
@@ -109,13 +109,14 @@ def detect(
             f"--columns {options.brand}: columns are copied as they are; name the brand to calib calibrate."
         )
     rows = read_joint_table(joints, options.names, index)
-    # Names of cameras by folder, "" for all other pictures.
+    # Names of cameras by folder or pattern, "" for all other pictures.
     cameras: dict[str, str] = {}
     for text in camera_name or ():
         name, _, folder = (part.strip() for part in text.partition("="))
         if not name or folder in cameras:
             raise CalibError(
-                f"--camera-name was given '{text}'; it must be a name, or \"NAME=FOLDER\", each folder once."
+                f'--camera-name was given \'{text}\'; it must be a name, "NAME=FOLDER" or "NAME=PATTERN", each '
+                "folder or pattern once."
             )
         cameras[folder] = name
     files = find_images(images, cameras)

@@ -72,7 +72,8 @@ def corner_table(detection: Detection, joints: JointTable, matches: Matches) -> 
     if without and len(without) < len(used):
         raise MeasurementError(
             f"The camera of the picture '{without[0].file.name}' is not named, but those of others are. Name that of "
-            "its folder, --camera-name \"NAME=FOLDER\", or fill the column 'group' of the table of joints."
+            'its folder or its name, --camera-name "NAME=FOLDER" or "NAME=cam1_*", or fill the column \'group\' of the '
+            "table of joints."
         )
     has_camera = bool(used) and not without
     boards = {board.name: board for board in detection.boards}

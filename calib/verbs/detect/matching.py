@@ -208,7 +208,7 @@ def match(joints: JointTable, images: Sequence[ImageFile]) -> Matches:
             raise MeasurementError(
                 f"{source}, line {joints.table.lines[row]}: the row belongs to two pictures, '{other.name}' and "
                 f"'{image.name}'. Write the folder before the name; or, if they are of two cameras, say so: "
-                '--camera-name "NAME=FOLDER".'
+                '--camera-name "NAME=FOLDER", or "NAME=cam1_*" by their names.'
             )
     unmatched = {row for of_key in by_key.values() for row in of_key} - set(rows)
     return Matches(tuple(rows), tuple(cameras), tuple(sorted(unmatched)))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calib.boards.board import CHARUCO, Board
+from calib.boards.board import CHARUCO, CHESSBOARD, Board
 from calib.boards.detection.board_findings import Finding
 from calib.boards.detection.detect import Detection
 from calib.boards.detection.picture import Picture
@@ -27,6 +27,8 @@ _REASONS = {
 _VIEW_REASONS = {
     "no_board": "no board in it",
     "blurred": "blurred; wait until the arm stands still, focus, or add light",
+    "flat": "hardly any contrast: no light, a cap on the lens, or nothing but a wall",
+    "overexposed": "overexposed: more than half of it is at the highest grey value; expose it less",
     "mirrored": "a mirror image: the board is found only if the picture is flipped",
     "cut": "{count} of the {wanted} corners needed; the board extends beyond the picture",
     "few_corners": "{count} of the {wanted} corners needed; the others are hidden, too small, or badly lit",
@@ -40,8 +42,10 @@ _FINDINGS = {
     "the description.",
     "legacy": "{Board}the print has the {layout_name} layout of ChArUco boards, not the one described. Write "
     'layout = "{layout_name}" in the description.',
-    "size": "{Board}the print has {columns} columns and at least {rows} rows{layout}, not {old_columns} and "
-    "{old_rows}. Correct the description.",
+    "size": "{Board}the print has {columns} columns and {at_least}{rows} rows{layout}, not {old_columns} and "
+    "{old_rows}. Write columns = {columns} and rows = {rows} in its description.",
+    "inner_corners": "{Board}{old_columns} and {old_rows} are the numbers of inner corners of the print. Count "
+    "squares: write columns = {columns} and rows = {rows} in its description.",
     "ratio": "{Board}the markers measure {value} of a square, the description says {old_value}. Measure square and "
     "marker on the print: is it this board?",
     "first_marker": "{Board}the first marker has the id {first}, the description says {old_first}. Correct the "
@@ -54,12 +58,17 @@ _FINDINGS = {
     "markers.",
     "unexplained": "{Board}the markers are not where the description has them, and neither swapped columns and rows "
     "nor another layout, size or ratio of marker and square explains it. Is it a flat print of this board?",
-    "ambiguous": "{Board}a chessboard whose columns and rows add up to an even number ({columns} + {rows}) looks the "
-    "same after half a turn. Its x axis is assumed to point to the right in each picture, which is the same pose of "
-    "the board in all of them only if the camera never rolls by 90 deg. Use one column less, or a ChArUco board.",
+    "ambiguous": "{Board}it looks the same after half a turn ({columns} columns and {rows} rows), and a picture does "
+    "not show which end is the first. In each picture the x axis is taken to point right; calib calibrate decides by "
+    "the robot which end it is. A chessboard of one column less, or a board with markers, shows it.",
     "more_markers": "{Board}the print has more rows than the {old_rows} described. Correct the description, so that "
     "the other corners are used too.",
     "unseen_row": "{Board}no picture shows a marker of the last row described: does the print have {old_rows} rows?",
+    "smaller": "{Board}soft pictures: it is seen in smaller copies of them only. Its corners are used, less precisely; "
+    "focus, and wait until the arm stands still.",
+    "evened": "{Board}dark or unevenly lit: it is seen only with their brightness evened out. Its corners are used, "
+    "less precisely; add light, or expose longer.",
+    "negative": "{Board}it is seen only in the negative of the pictures: the print is white on black.",
     "other_size": "Pictures whose size differs from that of most pictures of their camera are not used: take all at "
     "one resolution.",
     "same_picture": "Some pictures are identical to the last bit: did the camera deliver an old frame?",
@@ -182,6 +191,8 @@ def _sentence(finding: Finding, board: Board | None) -> str:
         rows=better.rows,
         layout=f", in the {layout_name} layout" if has_layouts else "",
         layout_name=layout_name,
+        # The last row of markers may be hidden in all pictures; a chessboard is seen as a whole.
+        at_least="" if better.pattern == CHESSBOARD else "at least ",
         old_columns=board.columns,
         old_rows=board.rows,
         value=number(finding.value),

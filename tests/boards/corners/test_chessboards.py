@@ -12,7 +12,6 @@ from calib.boards.board import Board, marker_outlines
 from calib.boards.corners.chessboards import (
     find_chessboard,
     find_inner_corners,
-    is_ambiguous,
     is_part_of_larger,
     size_of_chessboard,
     visible_corners,
@@ -37,7 +36,7 @@ STEEP = [
 
 def corners_of(image: Array, board: Board, of_ids: tuple[int, int] = (0, 17)) -> Saddles:
     """The corners, grown from some of the markers."""
-    markers = find_markers(image, board.dictionary).of_ids(*of_ids)
+    markers = find_markers(image, board.dictionary).of_ids(of_ids[0] + np.arange(of_ids[1]))
     layout = marker_outlines(board)[of_ids[0] :]
     placement = place_board(markers, layout, (image.shape[1], image.shape[0]))
     assert placement is not None
@@ -119,30 +118,41 @@ def test_black_at_the_origin_says_which_corner_is_first(roll: float):
     view = View(tilt=(15, 10, roll))
     found = find_chessboard(render(CHESS_BOARD, view), CHESS_BOARD)
     assert found is not None
-    planar_map, pixels = found
-    assert np.abs(pixels - view.corners(CHESS_BOARD)).max() < 1.0
-    assert np.abs(planar_map.project(CHESS_BOARD.corners[:, :2]) - pixels).max() < 1.0
+    assert not found.is_white_first
+    assert np.abs(found.pixels - view.corners(CHESS_BOARD)).max() < 1.0
+    assert np.abs(found.map.project(CHESS_BOARD.corners[:, :2]) - found.pixels).max() < 1.0
 
 
-@pytest.mark.slow
-def test_an_even_board_has_its_x_axis_to_the_right():
-    assert is_ambiguous(EVEN)
-    assert not is_ambiguous(CHESS_BOARD)
-    for roll in (0, 170):
-        view = View(tilt=(15, 10, roll))
-        found = find_chessboard(render(EVEN, view), EVEN)
-        assert found is not None
-        true = view.corners(EVEN) if roll == 0 else view.corners(EVEN)[::-1]
-        assert np.abs(found[1] - true).max() < 1.0
+@pytest.mark.parametrize("roll", [0, 170])
+@pytest.mark.parametrize("is_white", [False, True])
+def test_an_even_board_has_its_x_axis_to_the_right(roll: float, is_white: bool):
+    # The mirror image of a board of even columns begins with a white square.
+    view = View(tilt=(15, 10, roll), mirrored=is_white)
+    image = render(EVEN, view)
+    found = find_chessboard(image, EVEN)
+    assert found is not None
+    assert found.is_white_first == is_white
+    true = view.corners(EVEN) if roll == 0 else view.corners(EVEN)[::-1]
+    assert np.abs(found.pixels - true).max() < 1.0
+    saddles, _ = find_inner_corners(
+        np.asarray(image, dtype=float),
+        EVEN,
+        found.map,
+        EVEN.corners[:, :2],
+        found.pixels,
+        is_white_first=is_white,
+    )
+    assert saddles.exist.all()
+    assert np.abs(saddles.pixels - true).max() < 0.15
 
 
 def test_a_square_board_is_turned_to_its_black_corner():
     view = View(tilt=(15, 10, 80))
     found = find_chessboard(render(SQUARE, view), SQUARE)
     assert found is not None
+    assert not found.is_white_first
     error = min(
-        np.abs(found[1] - view.corners(SQUARE)).max(),
-        np.abs(found[1] - view.corners(SQUARE)[::-1]).max(),
+        np.abs(found.pixels - view.corners(SQUARE)[order]).max() for order in SQUARE.orders_alike
     )
     assert error < 1.0
 
@@ -161,10 +171,10 @@ def test_a_part_of_a_larger_board():
     found = find_chessboard(image, smaller)
     assert found is not None
     grey = np.asarray(image, dtype=float)
-    assert is_part_of_larger(grey, smaller, found[0])
+    assert is_part_of_larger(grey, smaller, found.map)
     found = find_chessboard(image, CHESS_BOARD)
     assert found is not None
-    assert not is_part_of_larger(grey, CHESS_BOARD, found[0])
+    assert not is_part_of_larger(grey, CHESS_BOARD, found.map)
 
 
 def test_the_size_of_another_board():

@@ -42,7 +42,7 @@ def test_a_thorough_search_finds_more_of_what_is_blurred():
 
 def test_ids_are_counted_from_the_first():
     corners = np.arange(24.0).reshape(3, 4, 2)
-    markers = Markers(np.array([3, 9, 10]), corners).of_ids(9, 1)
+    markers = Markers(np.array([3, 9, 10]), corners).of_ids(np.array([9]))
     assert markers.ids.tolist() == [0]
     np.testing.assert_array_equal(markers.corners, corners[1:2])
 
@@ -113,14 +113,19 @@ def test_another_layout_is_no_sound_place():
     placement = place_board(markers(), marker_outlines(swapped), SIZE)
     assert placement is None or not placement.is_sound
     # Of a shift by some ids most markers of every second row agree.
-    shifted = markers().of_ids(3, 14)
+    shifted = markers().of_ids(np.arange(3, 17))
     placement = place_board(shifted, marker_outlines(CHARUCO_BOARD), SIZE)
     assert placement is None or not placement.is_sound
 
 
 def test_one_marker_is_no_place():
-    assert place_board(markers().of_ids(5, 1), marker_outlines(CHARUCO_BOARD), SIZE) is None
-    assert place_board(markers().of_ids(5, 2), marker_outlines(CHARUCO_BOARD), SIZE) is not None
+    assert (
+        place_board(markers().of_ids(np.arange(5, 6)), marker_outlines(CHARUCO_BOARD), SIZE) is None
+    )
+    assert (
+        place_board(markers().of_ids(np.arange(5, 7)), marker_outlines(CHARUCO_BOARD), SIZE)
+        is not None
+    )
 
 
 def test_markers_that_a_lens_moves_agree_with_their_neighbours():

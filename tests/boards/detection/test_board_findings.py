@@ -76,7 +76,7 @@ def test_a_ratio_of_marker_and_square_is_told_where_it_can_be_measured(count, co
     markers = Markers(np.arange(count), 40.0 + 2500.0 * outlines)
     seen = replace(
         picture("a.png", replace(view(board.name), misread=2)),
-        markers={board.dictionary: markers},
+        markers={board.marker_kind: markers},
     )
     found = list(board_findings(board, [seen]))
     assert [finding.code for finding in found] == codes
@@ -189,6 +189,6 @@ def test_markers_of_another_size_altogether():
 
 
 def test_too_few_markers_tell_nothing():
-    few = [(pair.of_ids(0, 3), size) for pair, size in seen(CHARUCO_BOARD)]
+    few = [(pair.of_ids(np.arange(3)), size) for pair, size in seen(CHARUCO_BOARD)]
     assert np.isnan(measured_ratio(CHARUCO_BOARD, few))
     assert explanation(replace(CHARUCO_BOARD, columns=5, rows=7), few) is None

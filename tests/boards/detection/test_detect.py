@@ -61,7 +61,7 @@ def test_every_picture_has_corners_or_a_reason(detected: Detect):
         "2.png": "",
         "3.png": "",
         "copy.png": "",
-        "empty.png": "no_board",
+        "empty.png": "flat",
         "small.png": "other_size",
         "text.png": "unreadable",
     }

@@ -72,14 +72,27 @@ def test_cameras_by_folder():
         find_images(["right"], {"left": "wide"})
 
 
+@pytest.mark.usefixtures("run")
+def test_cameras_by_patterns_of_names():
+    by_number = {"pose_1*": "wide", "left/*_2.*": "tele"}
+    images = find_images(["left", "right"], by_number)
+    assert [image.camera for image in images] == ["tele", "wide", ""]
+    # A pattern counts before a folder.
+    images = find_images(["left"], {"left": "tele", "*_10.png": "wide"})
+    assert [image.camera for image in images] == ["tele", "wide"]
+    with pytest.raises(FileError, match="camera 'none'"):
+        find_images(["left"], {"cam*": "none"})
+
+
 def test_grey_values_as_the_file_has_them(tmp_path: Path):
     picture = np.arange(60, dtype=np.uint8).reshape(6, 10)
     path = tmp_path / "ä picture.png"
     path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     np.testing.assert_array_equal(read_image(ImageFile(path, path.name)), picture)
     deep = tmp_path / "deep.png"
-    deep.write_bytes(cv2.imencode(".png", picture.astype(np.uint16) * 257)[1].tobytes())
-    np.testing.assert_array_equal(read_image(ImageFile(deep, deep.name)), picture)
+    of_16_bits = picture.astype(np.uint16) * 257
+    deep.write_bytes(cv2.imencode(".png", of_16_bits)[1].tobytes())
+    np.testing.assert_array_equal(read_image(ImageFile(deep, deep.name)), of_16_bits)
 
 
 def test_no_picture_is_none(tmp_path: Path):
@@ -110,7 +123,8 @@ def test_corners_and_a_small_copy(tmp_path: Path):
     again = pickle.loads(pickle.dumps(picture))
     np.testing.assert_array_equal(again.used[0].pixels, picture.used[0].pixels)
     assert (
-        again.markers["DICT_5X5_100"].ids.tolist() == picture.markers["DICT_5X5_100"].ids.tolist()
+        again.markers["DICT_5X5_100/1"].ids.tolist()
+        == picture.markers["DICT_5X5_100/1"].ids.tolist()
     )
 
 
@@ -118,7 +132,7 @@ def test_a_thorough_search_where_the_quick_one_is_not_enough(tmp_path: Path):
     view = View(tilt=(40, 60, 0), middle=(0, 0, 0.45), blur=1.2, noise=5)
     picture = search_picture(SEARCH, file_of(tmp_path, render(CHARUCO_BOARD, view)))
     # The quick search reads two markers here.
-    assert len(picture.markers["DICT_5X5_100"].ids) >= 4
+    assert len(picture.markers["DICT_5X5_100/1"].ids) >= 4
     assert picture.used
 
 

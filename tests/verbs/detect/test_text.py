@@ -8,7 +8,13 @@ from pathlib import Path
 import pytest
 
 import calib.verbs.detect.text as text_module
-from calib.boards.detection import board_findings as findings, board_search, picture as pictures
+from calib.boards.board import PATTERNS
+from calib.boards.detection import (
+    board_findings as findings,
+    board_search,
+    copies,
+    picture as pictures,
+)
 from calib.boards.detection.board_findings import Finding
 from calib.verbs.detect.matching import match
 from calib.verbs.detect.text import detection_text, findings_text, not_used, reason_text
@@ -91,5 +97,5 @@ def codes(*modules: object) -> set[str]:
 
 def test_every_code_has_its_sentence():
     known = set(text_module._FINDINGS) | set(text_module._REASONS) | set(text_module._VIEW_REASONS)
-    boards = {"charuco", "chessboard", "apriltag"}
-    assert codes(board_search, findings, pictures) - boards == known
+    boards = set(PATTERNS)
+    assert codes(board_search, copies, findings, pictures) - boards == known
