@@ -82,19 +82,21 @@ def robot_of_cell(
         first = Part("", urdf, estimated=False)
         urdf = joined_urdf(urdf, parts, mounts)
         parts = (first, *parts)
-    stops = [sight for sight in sights or () if is_stop(urdf, *sight)]
+    seen = tuple(sights or ())
+    stops = [sight for sight in seen if is_stop(urdf, *sight)]
     if not cell.bases and not cell.tips and not stops:
         return Robot.from_urdf(
             urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
         )
-    sights = list(sights or ())
-    if not sights:
-        sights = [(group, target) for group in cell.bases or [""] for target in cell.tips or [""]]
+    if not seen:
+        seen = tuple(
+            (group, target) for group in cell.bases or [""] for target in cell.tips or [""]
+        )
     ends: list[tuple[str, str | None]] = []
-    if stops and len(stops) == len(sights):  # the arm itself is seen by no row
+    if stops and len(stops) == len(seen):  # the arm itself is seen by no row
         ends.append((cell.base or urdf.root, cell.tip))
     # Chains of single joints come last.
-    for group, target in sorted(sights, key=lambda sight: sight in stops):
+    for group, target in sorted(seen, key=lambda sight: sight in stops):
         if (group, target) in stops:
             ends.append(stop_links(urdf, target))
             continue
