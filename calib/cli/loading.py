@@ -94,8 +94,8 @@ def load_with_data(
     columns = options.parsed()
     table = Table.read(data)
     with prefix_hint(cell):
-        sights = sights_of(table, columns) if cell.bases or cell.tips else None
-    if sights is not None and result is None:
+        sights = sights_of(table, columns, cell.kind)
+    if (cell.bases or cell.tips) and result is None:
         check_links_named(cell, sights, str(data))
     arm = load(robot, cell, column_names(table, columns), sights, result)
     measurements = Measurements.read(

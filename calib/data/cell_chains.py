@@ -6,10 +6,12 @@ from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 
+import calib.data.kinds as registry
 from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.columns import WORD_COLUMNS, name_columns
 from calib.data.forms.column_options import ColumnsInput, column_options
+from calib.data.stops import is_stop, stop_links
 from calib.errors import ModelError, choices, did_you_mean
 from calib.robot.joined_urdf import Part, joined_urdf
 from calib.robot.robot import Robot
@@ -19,12 +21,15 @@ from calib.robot.urdf import Urdf, read_urdf
 Sight = tuple[str, str]
 
 
-def sights_of(table: Table, columns: ColumnsInput = None) -> tuple[Sight, ...]:
+def sights_of(
+    table: Table, columns: ColumnsInput = None, kind: str | None = None
+) -> tuple[Sight, ...]:
     """Return the stations and targets that occur together in the rows of a table, in the table's order.
 
     Args:
         table: The table.
         columns: What is said of its columns, as by ``--columns``; None: nothing.
+        kind: The kind of all rows; None: as the table's column says. A joint at its stop is seen from itself.
 
     Raises:
         MeasurementError: As of `name_columns`.
@@ -35,6 +40,12 @@ def sights_of(table: Table, columns: ColumnsInput = None) -> tuple[Sight, ...]:
     if "target" in named:
         targets = [word or default_target for word in table.column(named["target"])]
     groups = ["/".join(row[column.index] for column in group_columns) for row in table.cells]
+    kinds = [kind or ""] * len(table.cells)
+    if kind is None and "kind" in named:
+        kinds = table.column(named["kind"])
+    of_joint = {name for name in registry.names() if registry.get(name).of_joint}
+    seen = zip(kinds, targets, groups, strict=True)
+    groups = [target if name in of_joint else group for name, target, group in seen]
     return tuple(dict.fromkeys(zip(groups, targets, strict=True)))
 
 
@@ -115,14 +126,24 @@ def robot_of_cell(
         first = Part("", urdf, estimated=False)
         urdf = joined_urdf(urdf, parts, mounts)
         parts = (first, *parts)
-    if not cell.bases and not cell.tips:
+    seen = tuple(sights or ())
+    stops = [sight for sight in seen if is_stop(urdf, *sight)]
+    if not cell.bases and not cell.tips and not stops:
         return Robot.from_urdf(
             urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
         )
-    if sights is None:
-        sights = [(group, target) for group in cell.bases or [""] for target in cell.tips or [""]]
-    ends = []
-    for group, target in sights:
+    if not seen:
+        seen = tuple(
+            (group, target) for group in cell.bases or [""] for target in cell.tips or [""]
+        )
+    ends: list[tuple[str, str | None]] = []
+    if stops and len(stops) == len(seen):  # the arm itself is seen by no row
+        ends.append((cell.base or urdf.root, cell.tip))
+    # Chains of single joints come last.
+    for group, target in sorted(seen, key=lambda sight: sight in stops):
+        if (group, target) in stops:
+            ends.append(stop_links(urdf, target))
+            continue
         tip = cell.tips.get(target, cell.tip)
         if tip is None and cell.tips:
             raise ModelError(

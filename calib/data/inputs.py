@@ -136,7 +136,7 @@ def inputs_of(
         return arm, brought_back(arm, table), cell
     read_table = Table.read(table)
     names = column_names(read_table)
-    sights = sights_of(read_table)
+    sights = sights_of(read_table, kind=cell.kind)
     if not isinstance(robot, Robot):
         check_links_named(cell, sights, read_table.source)
     arm = robot_of(robot, cell, measured=names, sights=sights, read=read)

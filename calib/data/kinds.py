@@ -11,6 +11,7 @@ With the pose (R, p) of the target in its measurement frame, what is measured, w
     face       nothing: the target is flat on a plane           0 - p_z, 0 - w       the frame lies in the plane
     clasp      nothing: the target is held in one pose          0 - p, log(R^T)      the frame stands where it is held
     pixel      the image of a corner         u = f(R P + p)     m - u                the frame is the camera's
+    stop       a joint's true angle          q                  m - q                the frame is the joint's
 
 P is the corner on the board, which is the target, and f the camera's lens: the internals of a camera, see
 `calib.model.internals` and `calib.camera.optics`. w = s (-e_y, e_x) are the sines of the tilts of the target's z axis e
@@ -38,6 +39,7 @@ from calib.basics.units import UNITS, Quantity
 from calib.basics.values import Value
 from calib.camera import optics
 from calib.data.kind_check import check_functions
+from calib.data.stops import stop_derivative, stop_residual
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.internals import Internals, InternalValues, StatedSize
 from calib.model.parameter_sets import DIRECTIONS
@@ -157,6 +159,8 @@ class Kind(Value):
     settle: Callable[[Array], Array] | None = None
     #: What the frame stands for, in texts: ``"Socket"``.
     place: str = "Measurement frame"
+    #: Whether the row's target is a joint, at a stop: see `calib.data.stops`.
+    of_joint: bool = False
     #: Numbers of the instrument by which readings are predicted, besides the pose; None: there are none. With c of them
     #: ``measure``, ``residual`` and ``derivative`` take their values as a last argument, shape (n, c), and
     #: ``derivative`` returns the derivative by them too, shape (n, s, c). `calib.instruments.internals` makes them of
@@ -812,6 +816,20 @@ _add(
         fewest=8,
         place="Camera",
         internals=_OPTICS,
+    )
+)
+_add(
+    Kind(
+        name="stop",
+        words="true angle of a joint at its stop",
+        units=("rad",),
+        residual=stop_residual,
+        derivative=stop_derivative,
+        readings=(Reading("stop", "angle"),),
+        directions=(),
+        own_frame=True,
+        place="Stop",
+        of_joint=True,
     )
 )
 plugins.watch("kinds", _KINDS)

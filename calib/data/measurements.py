@@ -179,6 +179,11 @@ class Measurements(Value):
         fill("rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, (_, word) in WORD_COLUMNS.items():
             fill(name, tuple(getattr(self, name)) or (word,) * count)
+        # A joint at its stop is seen from itself.
+        of_joint = self.where(lambda kind: kind.of_joint).tolist()
+        if any(of_joint):
+            named = zip(of_joint, self.targets, self.groups, strict=True)
+            fill("groups", tuple(target if stops else group for stops, target, group in named))
         labels = self._labels()
         check_words(labels, {name: getattr(self, name) for name in WORD_COLUMNS}, count)
         check_joint_names(labels)

@@ -51,9 +51,12 @@ def frozen_parameters(
 
 def _places(robot: Robot, joints: set[str]) -> set[str]:
     """Return the places of parameters whose placement the ``<origin>`` of one of these URDF joints carries."""
-    names = [*(joint.name for joint in robot.joints), TIP]
-    return {
-        place
-        for place, carrier in zip(names, robot.carriers, strict=True)
-        if carrier is not None and carrier in joints
-    }
+    found = set()
+    for limb in robot.limbs:
+        names = [*(joint.name for joint in limb.joints), TIP]
+        found |= {
+            place
+            for place, carrier in zip(names, limb.carriers, strict=True)
+            if carrier is not None and carrier in joints
+        }
+    return found

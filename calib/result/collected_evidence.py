@@ -16,7 +16,7 @@ from calib.diagnosis.judge_setup import judge_setup
 from calib.diagnosis.reasons import NO, Reason, Role, Verdict, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
-from calib.model.error_model import FRAME, TARGET
+from calib.model.error_model import FRAME, MOUNT, TARGET
 from calib.model.error_on_chain import model_on_chain
 from calib.numerics.errors import Errors
 from calib.numerics.moves import common_side
@@ -85,7 +85,8 @@ def _chains(result: Calibration, evidence: Evidence, rows: Rows) -> Iterator[Cha
     samples = rows.samples
     for number, chain in enumerate(robot.chains):
         first = samples.rows_of_chain(number)[:1]
-        if not len(first):  # validation rows alone see it
+        # Of validation rows alone, or of one joint at its stops, which is no arm.
+        if not len(first) or rows.where(lambda kind: kind.of_joint)[first[0]]:
             continue
         seen = (int(samples.frame[first[0]]), int(samples.target[first[0]]))
         expected = _expected_over_limits(result, geometry, *seen)
@@ -101,7 +102,7 @@ def _judge_setup(result: Calibration, evidence: Evidence) -> Verdict:
     The uncertainty is the largest half-width of a 95 % interval, of a length [m] and of an angle [rad].
     """
     model = result.geometry.model
-    of_setup = model.family(FRAME, TARGET)
+    of_setup = model.family(FRAME, TARGET, MOUNT)
     open_ones = of_setup & ~result.trust.observability.identifiable
     located = {}
     for unit in ("m", "rad"):

@@ -77,6 +77,10 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     yield from other_variant(result.nominal, corrected, intervals)
 
     few, _ = thin(fitted)
+    if all(kind.of_joint for kind in rows.present):
+        yield _stops_alone(result, m)
+        yield from _agreeing_repeats(result, fitted)
+        return
     yield from contradicted_values(few, scale)
     yield from doubtful_views(few)
     is_flange = is_flange_robot(result.nominal.joint_names)
@@ -94,6 +98,14 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
         yield Reason.of(Why.NO_LENGTH)
+
+
+def _stops_alone(result: Calibration, measurements: Measurements) -> Reason:
+    """Say that the rows are of joints at their stops alone, of which joints, and which others turn."""
+    stopped = list(dict.fromkeys(measurements.targets))
+    turning = [j.name for j in result.nominal.urdf.joints if j.type in ("revolute", "continuous")]
+    others = [name for name in turning if name not in stopped]
+    return Reason.of(Why.STOPS_ALONE, joints=", ".join(stopped), not_stopped=others)
 
 
 def patterns_in_table(fitted: Fitted, measurements: Measurements) -> Iterator[Reason]:

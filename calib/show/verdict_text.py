@@ -191,6 +191,8 @@ SENTENCES = {
     Why.NO_LENGTH: "No length was measured, so the size of the arm stays nominal: to determine "
     "it, add rows that measure a length, or with sockets give the distance between two of them in "
     "the cell file ([[distances]]).",
+    Why.STOPS_ALONE: "End stops tell the zeros of {joints} alone. Lengths, angles between axes, gears, bending, and "
+    "where base and tool are stay as they are{others_open}: to determine them, measure.",
     Why.PARAMETER_FAR: "A parameter has changed by {largest:mm.0f} mm or mrad, more than any error "
     "of an arm. Keep the priors on, or choose a smaller model.",
     Why.VALIDATION_UNLIKE: "The error of the calibrated robot is {before} on the {rows} validation "
@@ -463,6 +465,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "with_noise": "",
         "if_exact": "do not state it as exact, and " if values.get("exact") else "",
         "rows_aside": "",
+        "others_open": "",
         "located": " and ".join(sizes_of(values, "located", ".2g")),
         "its_verdict": f", whose verdict was {values['verdict']}" if values.get("verdict") else "",
         "named": "",
@@ -501,6 +504,10 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         words["named"] = f" '{values['target']}'"
     if values.get("station"):
         words["of_station"] = f" of station '{values['station']}'"
+    if values.get("not_stopped"):
+        words["others_open"] = (
+            f", and so do the zeros of {choices(values['not_stopped'], limit=12)}"
+        )
     if isinstance(values.get("names"), Sequence):
         words["names"] = choices(values["names"], limit=12)
     if "rows" in values and "joints" in values:

@@ -217,7 +217,11 @@ def test_what_is_written_reads_back(tmp_path_factory, data):
         approaches=data.draw(st.just(()) | st.just(("from above",) * count)),
         torques=data.draw(st.none() | st.just(torques)),
         prismatic=("rail",),
-        readings={name: random.uniform(0, 999, count) for name in ("u", "v")},
+        readings={
+            "u": random.uniform(0, 999, count),
+            "v": random.uniform(0, 999, count),
+            "stop": random.uniform(-3, 3, count),
+        },
         board_points=random.uniform(0, 0.2, (count, 3)),
         images=data.draw(st.just(()) | st.just(("left.png",) * count)),
         corners=data.draw(st.just(()) | st.just(tuple(map(str, range(count))))),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.data.cell import AUTO, Cell
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
+from calib.data.stops import stop_links, stop_poses
 from calib.errors import MeasurementError, ModelError, choices
 from calib.fit.registration.labels import joined_labels, same_poses
 from calib.fit.registration.rows import NONE, Rows
@@ -269,6 +271,16 @@ def measurement_setup(
         target for target, kind in kinds_of_targets if not registry.get(kind).is_contact
     }
     in_contact = np.array([name not in not_contacts for name in targets])
+    # A joint at its stop: its own two links, and poses that make its angle one about z.
+    frame_links = [cell.bases.get(group, base) for group in groups]
+    target_links = [cell.tips.get(name, tip) for name in targets]
+    target_unknown = is_located & cell.estimate_target
+    target_given = is_stated | ~is_located
+    for name in stopped_joints(measurements):
+        g, t = groups.index(name), targets.index(name)
+        frame_links[g], target_links[t] = stop_links(robot.urdf, name)
+        T_frame_base[g], T_tip_target[t] = stop_poses(robot.urdf, name)
+        target_unknown[t], target_given[t] = False, True
 
     rotation = any(kind.depends_on_orientation for kind in kinds)
     return Setup(
@@ -278,16 +290,16 @@ def measurement_setup(
         T_tip_target=read_only(T_tip_target),
         unknown=tuple(unknown),
         frame_given=np.array(frame_given),
-        target_unknown=is_located & cell.estimate_target,
-        target_given=is_stated | ~is_located,
+        target_unknown=target_unknown,
+        target_given=target_given,
         target_directions=tuple(target_directions),
         target_prior=in_contact & is_stated,
         rotation_stated=cell.target_rotation is not None,
         rotation=rotation,
         own_axes=np.array(own_axes),
         oriented=cell.target_rotation is not None or rotation,
-        frame_links=tuple(cell.bases.get(group, base) for group in groups),
-        target_links=tuple(cell.tips.get(name, tip) for name in targets),
+        frame_links=tuple(frame_links),
+        target_links=tuple(target_links),
     )
 
 
@@ -313,6 +325,12 @@ def _common_heights(
         if is_free and all(rising[k] for k in of_set):
             result.setdefault(int(label[frames + t]), t)
     return list(result.values())
+
+
+def stopped_joints(measurements: Measurements) -> tuple[str, ...]:
+    """Return the names of the joints that rows of a table have at a stop, each once."""
+    of_joint = measurements.where(lambda kind: kind.of_joint).tolist()
+    return tuple(dict.fromkeys(compress(measurements.targets, of_joint)))
 
 
 def _check_names(

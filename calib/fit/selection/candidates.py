@@ -105,7 +105,10 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
         moves_joints = False
         patterns_on_chains = []
         for number, chain in enumerate(robot.chains):
-            seen = samples.select(samples.rows_of_chain(number))
+            of_chain = samples.rows_of_chain(number)
+            if not len(of_chain):
+                continue
+            seen = samples.select(of_chain)
             displacements = joint_displacements(
                 chain, terms, seen.q, seen.load, seen.moves, loaded=robot
             )

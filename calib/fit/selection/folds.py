@@ -97,7 +97,9 @@ class Folds:
             MeasurementError: All rows are of one pose, so nothing is left to fit.
         """
         stations = joined_stations(rows, task.distances)
-        whole = _stations_predict_each_other(task, rows, stations)
+        # Joints at their stops are stations by name alone, which tell nothing of each other.
+        of_joint = any(kind.of_joint for kind in rows.present)
+        whole = not of_joint and _stations_predict_each_other(task, rows, stations)
         is_measured = np.any(rows.used, axis=1)
         measured_rows = int(np.sum(is_measured))
         folds = cls.of(rows.blocks, stations if whole else None, measured_rows)

@@ -37,6 +37,9 @@ def target_sentences(c: Calibration) -> list[str]:
     noun = "Board" if c.rows.count_images(np.ones(len(c.rows), dtype=bool)) else "Target"
     sentences = []
     for t, name in enumerate(c.setup.target_names):
+        pairs = zip(c.rows.kinds, c.rows.targets, strict=True)
+        if any(registry.get(kind).of_joint for kind, target in pairs if target == name):
+            continue
         label = f"{noun} '{name}'" if name else noun
         T_tip_target = c.setup.T_tip_target[t]
         place = _position(T_tip_target[:3, 3])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+import calib.data.kinds as registry
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.values import one_line
 from calib.fit.registration.rows import USUAL_POSE_NOISE
@@ -97,6 +98,8 @@ def facts(c: Calibration) -> dict[str, str]:
     elif c.cross_validation is None and c.noise.freedom < _ENOUGH_FREEDOM:
         # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
         result[EXPECTED] = "not known: too few rows."
+    elif all(registry.get(kind).of_joint for kind in c.rows.kinds):
+        result[EXPECTED] = "not known: end stops tell nothing of lengths."
     else:
         near, everywhere = c.new_point
         result[EXPECTED] = (
