@@ -120,7 +120,9 @@ def fit_table(
     task = Task(robot, cell, seen, model, known_distances(cell, seen), solver, robust)
     if mistake and model == AUTO:  # no model of such measurements means anything
         check_parameter_names(task)
-        task = replace(task, model="zeros", allow_absent=True)
+        # Nor would a lens: its numbers stay where they begin.
+        lens_held = replace(seen, internals=())
+        task = replace(task, model="zeros", allow_absent=True, setup=lens_held)
 
     geometry, non_geometric, candidates = _fit_models(task, rows)
     if isinstance(model, str) and not (mistake or non_geometric or candidates):

@@ -51,7 +51,7 @@ _MANY_CORNERS = 1000
 _SMALL_SHARE = 0.15
 
 #: Steps that such a fold may take if the problem is not linear as far as it moves: each is far shorter than the last.
-_STEPS_OF_MANY = 3
+_STEPS_OF_MANY = 6
 
 #: Rows of all folds together that are fitted at a time, for they are held in memory.
 _AT_A_TIME = 4096
