@@ -371,6 +371,7 @@ def run_clasp(arguments: argparse.Namespace) -> Iterator[str]:
             figures.append(f"{where} {before:.2f} to {after:.3f} mm, expected {expected:.3f}")
         seen = result.trust.observability
         rank = f"rank {seen.rank} of {seen.columns}"
+        assert result.verdict is not None
         yield f"seed {seed}: {'; '.join(figures)}; {rank}; {result.verdict.use}"
 
 
