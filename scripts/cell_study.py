@@ -2,6 +2,7 @@
 
     python scripts/cell_study.py exact            noise-free points, pixels and contacts, through the written URDFs
     python scripts/cell_study.py bound 25         25 runs of each cell with noise: error over the bound, coverage
+    python scripts/cell_study.py clasp 4          4 runs of two arms that clasp a part, and nothing else
 
 Truths are Pinocchio's alone (`cell_truth.py`).
 """
@@ -27,7 +28,7 @@ from calib.data.cell_chains import robot_of_cell
 from calib.data.measurements import Measurements
 from calib.fit.estimate.problem import Problem
 from calib.model.observability import steps
-from calib.numerics.errors import interval_factor
+from calib.numerics.errors import interval_factor, rms
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.urdf import read_urdf
@@ -35,6 +36,9 @@ from calib.robot.urdf import read_urdf
 #: Noise of points [m] and of images [px].
 POINT_NOISE = 5e-5
 PIXEL_NOISE = 0.2
+
+#: Noise of joint values in contacts [rad].
+JOINT_NOISE = 1e-4
 
 #: Poses of each hand.
 POSES = 60
@@ -329,14 +333,56 @@ def run_bound(arguments: argparse.Namespace) -> Iterator[str]:
         yield f"{name}: error {error:.3f} mm, over the bound {ratio:.3f}, covered {covered:.1f} %"
 
 
+def two_arms_clasped(rng: np.random.Generator) -> Study:
+    """Two Pandas hold one rigid part at 60 postures: nothing else is measured."""
+    stated = Cell(robots={"right": FurtherRobot("panda")})
+    text = robot_of_cell(read_urdf("panda"), stated).urdf.data.decode()
+    part = pin.SE3(pin.exp3(np.array([0.2, 3.0, 0.1])), np.array([0.02, 0.01, 0.2]))
+    poses = {"right": pin.SE3.Identity(), "grip": part}
+    frames, targets = {"grip": "panda_link8"}, {"right": "right/panda_link8"}
+    truth = draw_cell(text, rng, frames, targets, poses, {"right/mount": PLACE})
+    table = truth.contacts(rng, "grip", ["right"], POSES, "clasp", JOINT_NOISE)
+    cell = cell_of(truth, robots=dict(stated.robots))
+    return Study("panda", truth, table, cell, (("grip", "right"),))
+
+
+def run_clasp(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield errors of the right hand in the grip of the left one, in further clasps and anywhere, and the verdict."""
+    for seed in range(arguments.seed, arguments.seed + arguments.count):
+        rng = np.random.default_rng(seed)
+        study = two_arms_clasped(rng)
+        result = calibrate(study.robot, study.table, cell=study.cell)
+        part = result.geometry
+        order = [study.truth.joints.index(name) for name in result.nominal.joint_names]
+        clasped = study.truth.contacts(rng, "grip", ["right"], POSES, "clasp").joints
+        fresh = study.truth.draw(rng, FRESH)
+        figures = []
+        for where, values in (("clasped", clasped), ("anywhere", fresh)):
+            samples = result.samples(values[:, order], target="right", group="grip")
+            found, J = part.kinematics.twists(part.x, samples, rotation=False)
+            true = np.array([study.truth.pose(row, "grip", "right").translation for row in values])
+            nominal = result.nominal_setup.T_frame_base[0] @ result.nominal.poses(values[:, order])
+            variance = np.einsum("nip,pq,niq->n", J, part.covariance, J)
+            if part.scale is not None:
+                variance += np.sum((J @ part.change_by_scale) ** 2, axis=1)
+            before = 1e3 * rms(np.linalg.norm(nominal[:, :3, 3] - true, axis=1))
+            after = 1e3 * rms(np.linalg.norm(found[:, :3, 3] - true, axis=1))
+            expected = 1e3 * float(np.sqrt(np.mean(variance)))
+            figures.append(f"{where} {before:.2f} to {after:.3f} mm, expected {expected:.3f}")
+        seen = result.trust.observability
+        rank = f"rank {seen.rank} of {seen.columns}"
+        assert result.verdict is not None
+        yield f"seed {seed}: {'; '.join(figures)}; {rank}; {result.verdict.use}"
+
+
 def main() -> None:
     """Run one part of the study."""
     parser = study_parser(__doc__, parallel=True)
-    parser.add_argument("part", choices=("exact", "bound"))
+    parser.add_argument("part", choices=("exact", "bound", "clasp"))
     parser.add_argument("count", type=int, nargs="?", default=25, help="runs of each cell")
     parser.add_argument("--seed", type=int, default=0, help="first seed")
     arguments = parser.parse_args()
-    run = {"exact": run_exact, "bound": run_bound}[arguments.part]
+    run = {"exact": run_exact, "bound": run_bound, "clasp": run_clasp}[arguments.part]
     for line in run(arguments):
         print(line, flush=True)
 

@@ -326,7 +326,7 @@ def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, wh
         column = named[name]
         return column if quantity is None else with_unit(table, column, quantity)
     header = f"{name} [{COMMON[quantity]}]" if quantity else name
-    kinds = " --kind fixed and --kind plane need no position." if name in POINT else ""
+    kinds = " --kind fixed, plane, face and clasp need no position." if name in POINT else ""
     raise MeasurementError(
         f"{table.source}: {what} need a column '{header}', and there is none. "
         f'{list_columns(table)} Another name is mapped by --columns "name in the table={header}".'

@@ -188,9 +188,9 @@ SENTENCES = {
     "outliers: it does not agree with the others. " + _CHANGED,
     Why.REPEATS_AGREE: "Repeats of a pose scatter by {within} per coordinate, but the "
     "residuals are {noise}: the robot has errors that the model lacks.",
-    Why.NO_LENGTH: "No length was measured, so the size of the arm stays nominal: to determine "
-    "it, add rows that measure a length, or with sockets give the distance between two of them in "
-    "the cell file ([[distances]]).",
+    Why.NO_LENGTH: "No length was measured, so the size of the arm stays nominal; nor do contacts "
+    "say where the base stands. To determine the size, add rows that measure a length, or with "
+    "sockets give the distance between two of them in the cell file ([[distances]]).",
     Why.STOPS_ALONE: "End stops tell the zeros of {joints} alone. Lengths, angles between axes, gears, bending, and "
     "where base and tool are stay as they are{others_open}: to determine them, measure.",
     Why.PARAMETER_FAR: "A parameter has changed by {largest:mm.0f} mm or mrad, more than any error "

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
@@ -48,9 +49,6 @@ _DIGITS = 3
 
 #: Unit in which values are written, and its number in one SI unit.
 _WRITTEN = {unit.quantity: (unit.shown, unit.to_shown) for unit in RESIDUAL_UNITS.values()}
-
-#: Kinds whose rows measure something without a column of their own.
-_WITHOUT_CELLS = ("fixed", "plane")
 
 #: A whole number in the name of an image.
 _NUMBER = re.compile(r"\d+")
@@ -275,8 +273,9 @@ def _measure_something(table: Table, named: Mapping[str, Column]) -> list[bool]:
     columns = [*POINT, "distance", "pair", "u"]
     indices = [named[name].index for name in columns if name in named]
     kinds = table.column(named["kind"]) if "kind" in named else [""] * len(table.cells)
+    contacts = [name for name in registry.names() if registry.get(name).is_contact]
     measure = [
-        kind in _WITHOUT_CELLS or any(cells[i] for i in indices)
+        kind in contacts or any(cells[i] for i in indices)
         for kind, cells in zip(kinds, table.cells, strict=True)
     ]
     if not any(measure) and "point" in named:
