@@ -11,7 +11,7 @@ from calib.errors import ModelError
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.transforms import body_of, known_transforms, transform
-from tests.two_handed import CELL, two_handed
+from tests.two_handed import CELL, fitted, two_handed
 
 
 @pytest.fixture(scope="module")
@@ -20,10 +20,8 @@ def truth():
 
 
 @pytest.fixture(scope="module")
-def result(truth):
-    return calibrate(
-        "panda", truth.measurements, cell=CELL, model="placement", validate=False, robust=False
-    )
+def result():
+    return fitted(1)
 
 
 def error(T: np.ndarray, T_true: np.ndarray) -> np.ndarray:
