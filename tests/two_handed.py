@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,8 @@ import pinocchio as pin
 
 from calib.data.cell import Cell, FurtherRobot
 from calib.data.measurements import Measurements
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
 from calib.robot.urdf import read_urdf
 
 #: Errors of each placement, standard deviations: [m], [rad].
@@ -26,6 +29,13 @@ CELL = Cell(
     robots={"right": FurtherRobot("panda")},
     tips={"a": "panda_link8", "b": "right/panda_link8"},
 )
+
+
+@cache
+def fitted(seed: int = 1) -> Calibration:
+    """The calibration of a table, without validation: enough for what verbs do with it."""
+    table = two_handed(seed).measurements
+    return calibrate("panda", table, cell=CELL, model="placement", validate=False, robust=False)
 
 
 class TwoHanded(NamedTuple):

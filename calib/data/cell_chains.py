@@ -67,9 +67,13 @@ def check_links_named(cell: Cell, sights: Iterable[Sight], source: str) -> None:
     ):
         for name, link in given.items():
             if name not in present:
+                known = [word for word in dict.fromkeys(present) if word]
+                has = f"column '{column}' has {choices(known)}{did_you_mean(name, known)}"
+                if not known:
+                    has = f"table has no column '{column}'"
                 raise ModelError(
-                    f"{source}: {option} {name}={link} names '{name}', but the column '{column}' has "
-                    f"{choices(dict.fromkeys(present))}{did_you_mean(name, present)}. Name one of them."
+                    f"{source}: {option} {name}={link} names '{name}', but the {has}. Give {option} NAME=LINK for the "
+                    f"names of that column, or {option} LINK for all rows."
                 )
 
 

@@ -212,7 +212,8 @@ def has_pose(c: Calibration, f: int) -> bool:
     """
     pairs = zip(c.rows.kinds, c.rows.groups, strict=True)
     kinds = {kind for kind, group in pairs if group == c.setup.groups[f]}
-    tells_place = any(registry.get(kind).tells_place for kind in kinds)
+    present = [registry.get(kind) for kind in kinds]
+    tells_place = any(kind.tells_place or kind.is_image for kind in present)
     return bool(c.setup.frame_given[f] or tells_place) and _is_known(c, frame=f)
 
 

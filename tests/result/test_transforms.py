@@ -11,7 +11,10 @@ from calib.errors import ModelError
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.transforms import body_of, known_transforms, transform
-from tests.two_handed import CELL, two_handed
+from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
+from calib.verbs.calibrate.tables import transforms
+from tests.two_handed import CELL, fitted, two_handed
 
 
 @pytest.fixture(scope="module")
@@ -20,10 +23,8 @@ def truth():
 
 
 @pytest.fixture(scope="module")
-def result(truth):
-    return calibrate(
-        "panda", truth.measurements, cell=CELL, model="placement", validate=False, robust=False
-    )
+def result():
+    return fitted(1)
 
 
 def error(T: np.ndarray, T_true: np.ndarray) -> np.ndarray:
@@ -165,3 +166,25 @@ def test_a_socket_has_no_pose(calibrated):
     _, c = calibrated("sockets")
     with pytest.raises(ModelError, match="do not determine the pose"):
         c.transform(c.setup.groups[0] or "frame", c.robot.base)
+
+
+def test_the_links_of_two_robots_stand_in_their_own_urdfs_too(result, tmp_path):
+    path = result.write_urdf(tmp_path / "cell.urdf", target_link=True, frame_link=True)
+    q = np.full((1, 14), 0.2)
+    right = Robot.load(tmp_path / "cell_right.urdf", "panda_link0", "calib_target_b")
+    T_target = result.predict_poses(q, target="b", group="t1")[0]
+    found = result.transform("t1", "right").pose @ right.poses(q[:, 7:])[0]
+    np.testing.assert_allclose(found, T_target, atol=1e-9)
+    whole = Robot.load(path, "calib_frame_t1", "calib_target_b")
+    np.testing.assert_allclose(whole.poses(q[:, 7:])[0], T_target, atol=1e-9)
+    first = read_urdf(str(tmp_path / "cell_first.urdf"))
+    assert {"calib_target_a", "calib_frame_t1", "calib_frame_t2"} <= set(first.links)
+    assert "calib_target_b" not in first.links
+
+
+def test_the_table_lists_them_in_mm_and_deg(result):
+    table = transforms(result)
+    assert [row[0] for row in table.rows][-1] == "t1 to t2"
+    found = result.transform("t1", "t2")
+    np.testing.assert_allclose(table.rows[-1][1:4], found.pose[:3, 3])
+    assert table.rows[-1][4] == pytest.approx(2.0 * found.position_std, rel=0.05)

@@ -231,7 +231,18 @@ def view_of_result(
             "calibrated": marks_of(after, result.setup),
         }
         view = replace(view, marks=marks)
-        if "target" in known:
+        if before.branches and "target" in known:
+            # The chains in turn, each with its first target.
+            chain = np.arange(len(view.q)) % len(before.chains)
+            tips = [before.chains[number].tip for number in chain]
+            of_pose = [result.setup.target_links.index(tip) for tip in tips]
+            view = replace(
+                view,
+                chain=chain,
+                nominal_target=result.nominal_setup.T_tip_target[of_pose],
+                calibrated_target=result.setup.T_tip_target[of_pose],
+            )
+        elif "target" in known:
             first_target = result.nominal_setup.T_tip_target[0]
             second_target = result.setup.T_tip_target[0]
             view = replace(view, nominal_target=first_target, calibrated_target=second_target)

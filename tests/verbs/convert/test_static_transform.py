@@ -17,6 +17,7 @@ from calib.verbs.convert.convert import convert
 from calib.verbs.convert.format import CameraOptions, Options
 from calib.verbs.convert.static_transform import StaticTransform, file_of, transform_of
 from calib.verbs.convert.urdf_formats import result_source
+from tests.two_handed import fitted
 from tests.verbs.convert.camera_arms import T_TOOL_OPTICAL, calibration, pose, words
 
 #: Half a turn, no turn, turns beyond half a turn, tiny numbers.
@@ -128,3 +129,18 @@ def test_a_published_pose():
     place = calibration().T_frame_base[:3, :3].T @ -calibration().T_frame_base[:3, 3]
     shown = text[0].split("x y z = ")[1].split(" mm")[0].split()
     np.testing.assert_allclose([float(n) for n in shown], 1e3 * place, rtol=0, atol=6e-4)
+
+
+def test_the_pose_of_one_station_in_another_is_published(tmp_path):
+    c = fitted()
+    path = tmp_path / "pair.launch.py"
+    options = Options(camera=CameraOptions(parent="t1", child="right"))
+    conversion = convert(c, path, to="static-transform", options=options)
+    published = transform_of(conversion.source, options.camera)
+    assert (published.parent, published.child) == ("t1", "right/panda_link0")
+    np.testing.assert_array_equal(published.T_parent_child, c.transform("t1", "right").pose)
+    for wrong in (CameraOptions(parent="t1"), CameraOptions(parent="t1", child="t2", camera="t1")):
+        with pytest.raises(CalibError, match="--parent"):
+            transform_of(conversion.source, wrong)
+    with pytest.raises(CalibError, match="--to static-transform"):
+        convert(c, tmp_path / "r.urdf", to="camera-mount", options=options)
