@@ -35,6 +35,8 @@ def two_of_each():
     both = replace(
         setup,
         groups=("color", "depth"),
+        frame_links=("tool0", "base"),
+        target_links=("base", "tool0"),
         targets=("board", "other"),
         T_frame_base=frames,
         T_tip_target=targets,
@@ -47,9 +49,10 @@ def test_of_several_one_is_named():
     result = two_of_each()
     camera = estimated_camera(result, "depth")
     T = np.linalg.inv(estimated_camera(result, "color").T_link_frame) @ camera.T_link_frame
-    assert camera.name == "depth"
+    assert (camera.name, camera.link) == ("depth", "base")
     assert np.linalg.norm(T[:3, 3]) == pytest.approx(0.01)
     board = estimated_board(result, "other")
+    assert board.link == "tool0"
     T = np.linalg.inv(estimated_board(result, "board").T_link_frame) @ board.T_link_frame
     np.testing.assert_allclose(T, pose(0.02, 0, 0, 0, 0, 0), rtol=0, atol=1e-12)
 
