@@ -1,7 +1,7 @@
 """Dictionaries of square markers: how many each has and of how many bits, named as OpenCV names them.
 
 The markers themselves are in OpenCV; their number is enough to check the description of a board. OpenCV also makes
-dictionaries of any size from a seed (`extendDictionary`, `generateCustomDictionary`). Their names say how:
+dictionaries of any size from a seed (``extendDictionary``, ``generateCustomDictionary``). Their names say how:
 
     DICT_5X5_30_SEED_7                        30 markers of 5 x 5 bits, randomSeed 7
     DICT_5X5_80_SEED_7_FROM_DICT_5X5_50       the same after the 50 markers of another dictionary: 80 in all
