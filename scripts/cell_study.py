@@ -58,9 +58,9 @@ CAMERA = Camera(
 #: the cell, which a print's scale alone determines.
 BOARD = Board(
     pattern="chessboard",
-    columns=6,
-    rows=5,
-    square=0.03,
+    columns=5,
+    rows=4,
+    square=0.05,
     sigma_scale=0.0,
     sigma_corner=0.0,
     sigma_warp=0.0,

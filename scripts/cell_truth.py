@@ -23,8 +23,8 @@ ANGLE = 3e-3
 #: Joints are moved between these values, or their limits [rad or m].
 LARGEST = 2.0
 
-#: Corners of a board of so many squares of 30 mm to each side [m].
-_CORNERS = np.array([[0.03 * i, 0.03 * j, 0.0] for i in range(5) for j in range(4)])
+#: Corners of a board with so many squares of 50 mm to each side [m].
+_CORNERS = np.array([[0.05 * i, 0.05 * j, 0.0] for i in range(4) for j in range(3)])
 
 #: Focal length and principal point of the cameras [px], and size of their images.
 FOCAL = 1000.0

@@ -32,6 +32,10 @@ _FEW_FOLDS = 10
 _FEWEST_STATIONS = 3
 
 
+#: If more than this share of the poses is seen from several stations, stations are no poses of their own.
+_MOSTLY = 0.5
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Folds:
     """Rows that are held out together; each row is in one fold."""
@@ -83,8 +87,8 @@ class Folds:
     def of_task(cls, task: Task, rows: Rows) -> Folds:
         """Divide the rows of a fit into folds.
 
-        Stations are held out whole if there are three or more and the others determine all that is needed to predict
-        one.
+        Stations are held out whole if there are three or more, each with poses of its own, and the others determine
+        all that is needed to predict one. Several cameras that look at one pose are held out together, by the pose.
 
         Args:
             task: The fit; what is estimated of frames, and the known distances between them, decide.
@@ -99,7 +103,11 @@ class Folds:
         stations = joined_stations(rows, task.distances)
         # Joints at their stops are stations by name alone, which tell nothing of each other.
         of_joint = any(kind.of_joint for kind in rows.present)
-        whole = not of_joint and _stations_predict_each_other(task, rows, stations)
+        whole = (
+            not of_joint
+            and not _see_the_same_poses(rows.blocks, stations)
+            and _stations_predict_each_other(task, rows, stations)
+        )
         is_measured = np.any(rows.used, axis=1)
         measured_rows = int(np.sum(is_measured))
         folds = cls.of(rows.blocks, stations if whole else None, measured_rows)
@@ -135,6 +143,13 @@ class Folds:
             errors=Errors.of(residual, rows.channels),
             errors_without_outliers=Errors.of(residual[good], rows.channels.select(good)),
         )
+
+
+def _see_the_same_poses(blocks: Integers, stations: Integers) -> bool:
+    """Return whether most blocks, (N,), have rows of several stations, (N,): cameras that look at the same poses."""
+    pairs = np.unique(np.column_stack([blocks, stations]), axis=0)
+    _, stations_of_block = np.unique(pairs[:, 0], return_counts=True)
+    return bool(np.mean(stations_of_block > 1) > _MOSTLY)
 
 
 def _stations_predict_each_other(task: Task, rows: Rows, stations: Integers) -> bool:

@@ -76,6 +76,22 @@ def test_stations_are_held_out_whole_from_three_on(calibrated):
     assert Folds.of_task(task, two).method != "leave-one-station-out"
 
 
+def test_stations_that_see_the_same_poses_are_held_out_by_pose(calibrated):
+    """Cameras beside each other: rows of one pose share the robot's error, whichever station measured them."""
+    task, rows = task_of_case(calibrated("set-ups"))
+    assert Folds.of_task(task, rows).method == "leave-one-station-out"
+    first, second, third = (np.flatnonzero(rows.samples.frame == f) for f in range(3))
+    blocks = rows.blocks.copy()
+    count = min(len(first), len(second), len(third))
+    blocks[second[:count]] = blocks[first[:count]]
+    assert Folds.of_task(task, replace(rows, blocks=blocks)).method == "leave-one-station-out"
+    blocks[third[:count]] = blocks[first[:count]]
+    folds = Folds.of_task(task, replace(rows, blocks=blocks))
+    assert folds.method == "leave-one-pose-out"
+    for mask in folds.masks:
+        assert not set(blocks[mask]) & set(blocks[~mask])
+
+
 def test_sockets_on_one_bar_are_one_station(make_scene, join):
     frames = [np.eye(4) for _ in range(4)]
     for k, T in enumerate(frames):
