@@ -22,30 +22,7 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-LINEAR = (634.0, 641.0, 652.0, 349.0)
-VALUES = {
-    "pinhole": [634.123456789012345, 641.25, 652.5, 349.0, -0.28, 0.11, 1e-05, -2e-17, -0.02],
-    "fisheye": [410.1, 405.3, 640.0, 360.0, -0.02, 0.01, -4e-3, 6e-07],
-    "rational": [*LINEAR, 0.7, -0.2, 1e-3, -2e-3, 0.03, 0.9, 0.1, -0.02],
-    "tilted": [
-        *LINEAR,
-        0.7,
-        -0.2,
-        1e-3,
-        -2e-3,
-        0.03,
-        0.9,
-        0.1,
-        -0.02,
-        3e-3,
-        -1e-3,
-        -2e-3,
-        2e-3,
-        0.03,
-        -0.05,
-    ],
-}
+from tests.camera.lens_values import WRITTEN as VALUES
 
 #: A table of a camera whose numbers are given as they are needed at least.
 TABLE = {"width": 1280, "height": 720, "fx": 634.0, "fy": 641.0, "cx": 652.0, "cy": 349.0}

@@ -7,32 +7,7 @@ import numpy as np
 import pytest
 
 from calib.camera.lenses import LENSES
-
-LINEAR = (634.0, 641.0, 652.0, 349.0)
-VALUES = {
-    "pinhole": np.array([634.0, 641.0, 652.0, 349.0, -0.28, 0.11, 1e-3, -2e-3, -0.02]),
-    "fisheye": np.array([410.0, 405.0, 640.0, 360.0, -0.02, 0.01, -4e-3, 6e-4]),
-    "rational": np.array([*LINEAR, 0.7, -0.2, 1e-3, -2e-3, 0.03, 0.9, 0.1, -0.02]),
-    "tilted": np.array(
-        [
-            *LINEAR,
-            0.7,
-            -0.2,
-            1e-3,
-            -2e-3,
-            0.03,
-            0.9,
-            0.1,
-            -0.02,
-            3e-3,
-            -1e-3,
-            -2e-3,
-            2e-3,
-            0.03,
-            -0.05,
-        ]
-    ),
-}
+from tests.camera.lens_values import VALUES
 
 
 def points(count=200):
