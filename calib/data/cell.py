@@ -76,6 +76,7 @@ from calib.data.cell_keys import (
     link_options,
     pose_form,
     pose_keys,
+    robots_by_name,
     sigma_keys,
     words_by_name,
 )
@@ -229,7 +230,7 @@ class Cell(Value):
             help="A further robot of the cell: its URDF, or its name. Names of its links and joints begin with NAME/, "
             "here and in the table. Its base in that of the first robot is estimated.",
             parse=lambda typed, flag: {
-                name: FurtherRobot(robot) for name, robot in words_by_name(typed, flag).items()
+                name: FurtherRobot(robot) for name, robot in robots_by_name(typed, flag).items()
             },
             merge=add_entries,
         ),

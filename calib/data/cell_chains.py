@@ -29,7 +29,8 @@ def sights_of(
     Args:
         table: The table.
         columns: What is said of its columns, as by ``--columns``; None: nothing.
-        kind: The kind of all rows; None: as the table's column says. A joint at its stop is seen from itself.
+        kind: The kind of all rows; None: as the table's column says. In rows of a joint at its stop it is station and
+            target.
 
     Raises:
         MeasurementError: As of `name_columns`.
@@ -68,6 +69,8 @@ def check_links_named(cell: Cell, sights: Iterable[Sight], source: str) -> None:
         for name, link in given.items():
             if name not in present:
                 known = [word for word in dict.fromkeys(present) if word]
+                if column == "target" and known == [WORD_COLUMNS["targets"][1]]:
+                    known = []  # that of a table without the column
                 has = f"column '{column}' has {choices(known)}{did_you_mean(name, known)}"
                 if not known:
                     has = f"table has no column '{column}'"
@@ -151,8 +154,9 @@ def robot_of_cell(
         tip = cell.tips.get(target, cell.tip)
         if tip is None and cell.tips:
             raise ModelError(
-                f"No link is named for the target '{target}'; the links of {choices(cell.tips)} are. Give it by --tip "
-                f"'{target}=LINK'; the links are {choices(urdf.links)}."
+                f"The table has the target '{target}', and no link is named for it, only for {choices(cell.tips)}. Add "
+                f"--tip {target}=LINK; or, if the column 'target' is empty there, fill it in. The links are "
+                f"{choices(urdf.links)}."
             )
         ends.append((cell.bases.get(group, cell.base or urdf.root), tip))
     (base, tip), *others = dict.fromkeys(ends)

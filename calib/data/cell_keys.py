@@ -125,6 +125,14 @@ def _one_link(typed: str | Iterable[str], flag: str) -> str | None:
     return links[0] if links else None
 
 
+def robots_by_name(typed: str | Iterable[str], flag: str) -> dict[str, str]:
+    """Return further robots by their names, as `words_by_name`; CalibError for one without a name."""
+    for word in _words(typed):
+        if "=" not in word:
+            raise CalibError(f"{flag} '{word}' lacks the robot's name: write NAME={word}.")
+    return words_by_name(typed, flag)
+
+
 def words_by_name(typed: str | Iterable[str], flag: str) -> dict[str, str]:
     """Return the words that are typed after a name, ``NAME=WORD``, by it.
 

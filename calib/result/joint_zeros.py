@@ -113,12 +113,17 @@ def joint_zeros(fits: TableFits, validation: Mask, *, cross_validated: bool) -> 
     estimate, model, robot = fitted.estimate, fitted.kinematics.model, fitted.task.robot
 
     # From the p parameters to offsets of the n joints, and of the m readings.
-    numbers = {f"{joint.name}.zero": i for i, joint in enumerate(robot.joints)}
-    of_joints = np.zeros((len(robot.joints), len(model)))
-    for term, shares in zip(model.terms, model.mixing, strict=True):
-        if term.name in numbers:
-            of_joints[numbers[term.name]] = shares
-    offsets = reading_offsets(robot) @ of_joints
+    offsets = np.zeros((len(robot.joint_names), len(model)))
+    for limb in robot.limbs:
+        numbers = {f"{joint.name}.zero": i for i, joint in enumerate(limb.joints)}
+        of_joints = np.zeros((len(limb.joints), len(model)))
+        for term, shares in zip(model.terms, model.mixing, strict=True):
+            if term.name in numbers:
+                of_joints[numbers[term.name]] = shares
+        # What several limbs pass together has the same offset in each.
+        of_limb = reading_offsets(limb) @ of_joints
+        is_open = ~np.any(offsets, axis=1)
+        offsets[is_open] = of_limb[is_open]
     has_share = np.abs(offsets) > _NO_SHARE
     needs_unknown = np.any(has_share & ~identifiable, axis=1)
     determined: Mask = np.any(has_share, axis=1) & ~needs_unknown

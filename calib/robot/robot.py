@@ -13,7 +13,8 @@ others or are held (`calib.robot.chain`). q are joint readings, which may be cou
 
 A robot with several tips or instruments on its links has *branches*: further chains of the same URDF, which have the
 same columns of q. What is measured is predicted by the chain from its frame's link to its target's (`Robot.chains`);
-what is corrected are the placements of its *limbs*, one chain to each of these links from the link where they part.
+what is corrected are the placements of its *limbs*, one chain to each of these links, if
+it is not on the way to another, from the link where they part.
 """
 
 from __future__ import annotations
@@ -623,7 +624,7 @@ class Robot(Value):
 
 @lru_cache(maxsize=16)
 def _limbs_of(robot: Robot) -> tuple[Robot, ...]:
-    """Return the limbs of a tree, see `Robot.limbs`: one for each link that joints move."""
+    """Return the limbs of a tree, see `Robot.limbs`: one for each moved link not on the way to another."""
     urdf = robot.urdf
     links = list(dict.fromkeys(link for chain in robot.chains for link in (chain.base, chain.tip)))
     ways = [urdf.chain(urdf.root, link)[1] for link in links]

@@ -159,6 +159,7 @@ def test_links_by_name_and_without():
         ({"base": ["=b"]}, "--base '=b' lacks"),
         ({"tip": ["a"], "board_on": ["b"]}, "mean the same"),
         ({"other_robot": ["right="]}, "--other-robot 'right=' lacks"),
+        ({"other_robot": ["panda"]}, "write NAME=panda"),
     ],
 )
 def test_links_that_are_refused(given: dict[str, list[str]], said: str):

@@ -25,7 +25,7 @@ from calib.basics.arguments import check_type
 from calib.basics.files import read_bytes
 from calib.basics.json_files import parse_json
 from calib.data.inputs import ROBOT, RobotInput
-from calib.errors import CalibError, FileError, VerdictError, choices, did_you_mean
+from calib.errors import CalibError, FileError, ModelError, VerdictError, choices, did_you_mean
 from calib.result.calibration import Calibration
 from calib.robot.dh_file import TABLES
 from calib.robot.robot import Robot
@@ -158,6 +158,12 @@ def convert(
     path = Path(path)
     content, name = read_source(source, path, chosen)
     row = FORMATS[name]
+    if content.robot.branches and name in (*dh.FORMATS, *ur_formats.FORMATS):
+        tips = choices(chain.tip for chain in content.robot.chains)
+        raise ModelError(
+            f"The format '{name}' holds one chain, and {content.robot.name} has several, to {tips}. Write the URDF "
+            "(--to urdf), and convert that with --base and --tip of one of them."
+        )
     if chosen.update is not None and not row.updates:
         able = [other for other, one in FORMATS.items() if one.updates]
         raise CalibError(

@@ -105,9 +105,7 @@ def origins_of(robot: Robot) -> dict[str, JointOrigin]:
         The origins with the numbers of the URDF, by the joints' names, base to tip.
     """
     result = {}
-    for name in robot.carriers:
-        if name is None:
-            continue
+    for name in robot.origins():
         joint = robot.urdf.joint(name)
         xyz = tuple((joint.xyz + 0.0).tolist())
         rpy = tuple((joint.rpy + 0.0).tolist())

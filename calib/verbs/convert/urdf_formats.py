@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from calib.data.inputs import RobotInput, chain_of
 from calib.errors import CalibError, ModelError
 from calib.result.calibration import Calibration, check_same_joints, is_corrected
@@ -130,8 +132,9 @@ def write_urdf(source: Source, path: Path, options: Options) -> Notes:
     if source.kind == "robot" and source.nominal is not None:
         written = source.nominal.with_placements(robot.placements)
     stated = {"run": robot.urdf.run, "verdict": robot.urdf.verdict}
-    written = replace(written, urdf=written.urdf.with_comments(**stated))
-    check_written(written, robot.poses(q), q, source.nominal or robot)
+    written = written.with_urdf(written.urdf.with_comments(**stated))
+    poses = np.concatenate([chain.poses(q) for chain in robot.chains])
+    check_written(written, poses, q, source.nominal or robot)
     written.urdf.write(path, overwrite=options.overwrite)
     coupled = robot.reading_coupling
     if not coupled:

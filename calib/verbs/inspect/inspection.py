@@ -120,7 +120,16 @@ def _rows_over_joint_limits(robot: Robot, cell: Cell) -> tuple[Rows, Setup, tupl
     The rows are of the cell's kind, points by default; raises `ModelError` for a kind that poses alone do not make.
     Also names what was put at a generic place, of ``"target"`` and ``"anchor"``.
     """
-    table = table_of_poses(robot, cell.kind or "point", spread_poses(robot))
+    q = spread_poses(robot)
+    table = table_of_poses(robot, cell.kind or "point", q)
+    if robot.branches:  # each target from each frame
+        sights = [(group, tip) for group in cell.bases or ("",) for tip in cell.tips or ("target",)]
+        table = table_of_poses(robot, cell.kind or "point", np.tile(q, (len(sights), 1)))
+        table = replace(
+            table,
+            groups=tuple(group for group, _ in sights for _ in q),
+            targets=tuple(target for _, target in sights for _ in q),
+        )
     rows, setup = rows_and_setup(robot, table, cell)
     T_frame_base = setup.T_frame_base.copy()
     T_tip_target = setup.T_tip_target.copy()
