@@ -28,6 +28,7 @@ from calib.verbs.convert.format import CameraOptions, Options, Source
 from calib.verbs.convert.text import text
 from calib.verbs.convert.ur_arms import chain_poses
 from tests.parts import with_part
+from tests.two_handed import fitted
 from tests.verbs.convert.forms import UR3, write_forms
 from tests.verbs.convert.ur_cases import CALIBRATIONS, rows, write_deltas
 
@@ -386,3 +387,24 @@ def test_a_file_to_update_is_refused_where_the_format_is_written_anew(
                 to=name,
                 options=options,
             )
+
+
+@pytest.mark.slow
+def test_a_result_of_several_chains_is_converted_whole_or_refused(tmp_path):
+    c = fitted()
+    path = c.write_json(tmp_path / "two.json")
+    convert(path, tmp_path / "two.urdf", to="urdf", accept=True)
+    written = Urdf.read(tmp_path / "two.urdf")
+    for name, T in c.robot.origins().items():
+        np.testing.assert_allclose(written.joint(name).T_parent_joint, T, rtol=0.0, atol=1e-12)
+    convert(path, tmp_path / "origins.yaml", to="origins", accept=True)
+    origins = yaml.safe_load((tmp_path / "origins.yaml").read_text())["origins"]
+    assert {"panda_joint3", "right/panda_joint3"} <= set(origins)
+    with pytest.raises(ModelError, match="holds one chain"):
+        convert(path, tmp_path / "rows.csv", to="dh", accept=True)
+    zeros = c.zeros
+    assert zeros is not None
+    determined = dict(zip(zeros.joints, zeros.determined, strict=True))
+    # Of each hand the zeros between its first and its last joint are determined by points.
+    for prefix in ("", "right/"):
+        assert [determined[f"{prefix}panda_joint{k}"] for k in range(2, 7)] == [True] * 5

@@ -27,6 +27,15 @@ def test_the_rank_over_the_joint_limits(ur3, cell, rank, columns):
     assert (found.rank, found.columns) == (rank, columns)
 
 
+def test_both_hands_are_seen_without_a_table():
+    cell = Cell(tips={"left": "arm_left_7_link", "right": "arm_right_7_link"}, estimate_frame=True)
+    found = inspect("tiago_dual", cell).observability
+    # They share the lift alone: 4 for each joint that turns, 2 for it, 3 for each target.
+    one = inspect("tiago_dual", Cell(tip="arm_left_7_link", estimate_frame=True, model="placement"))
+    shared = 2  # the direction of the lift
+    assert found.rank == 2 * one.observability.rank - shared
+
+
 def test_poses_of_a_table_say_what_the_fit_to_them_says(case):
     """The rank at the nominal robot is that at the solution, for every kind."""
     _, c = case
