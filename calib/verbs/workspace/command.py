@@ -84,6 +84,7 @@ def workspace(
 
     from calib.basics.tables import Table
     from calib.basics.units import ANGLE, LENGTH, parse_amount
+    from calib.data.cell_chains import refuse_several_chains
     from calib.data.columns import column_names
     from calib.robot.ranges import joint_ranges, margins_by_joint
     from calib.show.plotting import require_matplotlib
@@ -103,6 +104,7 @@ def workspace(
 
     # Without a tip the chain is that of the joints that the tables have in common.
     cell = cell_options.cell()
+    refuse_several_chains(cell, "calib workspace shows where a target gets")
     columns = column_options.parsed()
     paths = [path for path in (like, check) if path is not None]
     joints = [column_names(Table.read(path), columns) for path in paths]

@@ -70,6 +70,7 @@ def test_a_cell_file_gives_ranges_and_target(call, shop):
         (("--voxel", "1 mm"), "at most 4,000,000 are made"),
         (("--like", "data.csv", "--margin", "5 mm"), "it must be an angle"),
         (("--picture", "r.gif"), "cannot be written as 'gif'"),
+        (("--tip", "a=tool0"), "for one chain at a time"),
     ],
 )
 def test_errors_are_one_line_and_nothing_is_written(call, shop, words, said):
