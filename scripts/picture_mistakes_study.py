@@ -19,6 +19,7 @@ from functools import partial
 
 import numpy as np
 from camera_study import ARMS, STATED, draw
+from cell_truth import joined as rows_below_each_other
 from scipy.spatial.transform import Rotation
 from studies import draw_seed, run_jobs, study_parser
 
@@ -116,18 +117,7 @@ def between(random: np.random.Generator, sizes: tuple[float, float]) -> float:
 def joined(before: Measurements, after: Measurements, k: int) -> Measurements:
     """Return a table with the pictures before the k-th of one table, and the others of another."""
     a, b = before.select(of_pictures(before) < k), after.select(of_pictures(after) >= k)
-    assert a.board_points is not None
-    assert b.board_points is not None
-    return Measurements(
-        joint_names=a.joint_names,
-        joints=np.concatenate([a.joints, b.joints]),
-        points=np.concatenate([a.points, b.points]),
-        board_points=np.concatenate([a.board_points, b.board_points]),
-        kinds=a.kinds + b.kinds,
-        images=a.images + b.images,
-        corners=a.corners + b.corners,
-        readings={name: np.concatenate([a.readings[name], b.readings[name]]) for name in "uv"},
-    )
+    return rows_below_each_other([a, b])
 
 
 def bumped(drawn: Drawn) -> Measurements:

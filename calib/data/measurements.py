@@ -157,7 +157,7 @@ class Measurements(Value):
     #: Last move of each joint before the row, shape (N, n), [rad] or [m], see `calib.numerics.moves.last_moves`; 0
     #: where it is not known. None: their joint values tell, as the rows are in the order of their measurement.
     moves: Array | None = None
-    #: True where a row has no value of a joint, and ``joints`` tells where it stood, shape (N, n): the row's
+    #: True where a row has no value of a joint, and ``joints`` has the value of an earlier row, shape (N, n): the row's
     #: chain does not have it. None: every row has all.
     without_joint: Mask | None = None
 

@@ -21,7 +21,7 @@ from calib.numerics.errors import CrossValidation, Errors
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainResult(Value):
-    """What a result says of one chain."""
+    """Errors, expected errors and verdict of one chain."""
 
     #: Link of the measurement frames
     base: str

@@ -56,7 +56,7 @@ class OriginFactors(Value):
 
 
 class OnPath(NamedTuple):
-    """Where the ``<origin>`` of a URDF joint stands in a chain, whether it carries a placement or not."""
+    """The place of a URDF joint's ``<origin>`` in a chain: the placement that it is a factor of."""
 
     #: Index of the placement that it is a factor of, from 0.
     placement: int

@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
 from calib.errors import SolverError
@@ -49,11 +50,13 @@ def with_mounts_found(robot: Robot, setup: Setup, rows: Rows) -> Robot:
         SolverError: The residual is not finite at any start.
     """
     chosen = rows.select(rows.evenly(_ROWS))
-    turns = _right_angled_rotations()
+    # The rotations of a cube: from one of them, refinement converges.
+    turns = np.tile(np.eye(4), (24, 1, 1))
+    turns[:, :3, :3] = Rotation.create_group("O").as_matrix()
     starts = []
     for name in robot.mounts:
         T_root_base = robot.urdf.joint(name).T_parent_joint
-        starts.append(turns if np.array_equal(T_root_base, np.eye(4)) else [T_root_base])
+        starts.append(list(turns) if np.array_equal(T_root_base, np.eye(4)) else [T_root_base])
     placements = [limb.placements for limb in robot.limbs]
     minima: list[tuple[float, Robot, ErrorModel, Array]] = []
     fault: SolverError | None = None
@@ -98,17 +101,3 @@ def _refined(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, ErrorModel,
     x0 = np.zeros(len(model))
     solution = levenberg_marquardt(system, x0, steps(model.units), tolerance=_TOLERANCE)
     return solution.cost, model, solution.x
-
-
-def _right_angled_rotations() -> list[Array]:
-    """Return the 24 rotations that take axes to axes, as poses (4, 4)."""
-    result = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            R = np.zeros((3, 3))
-            R[range(3), order] = signs
-            if np.linalg.det(R) > 0.0:
-                T = np.eye(4)
-                T[:3, :3] = R
-                result.append(T)
-    return result

@@ -535,7 +535,7 @@ def chains(c: Calibration) -> Table:
         Column("verdict", left=True, gap=2),
     )
     return Table(
-        "Chains: rms error on held-out rows, and expected over the joint limits",
+        "Chains: rms error on held-out rows, and that of predictions over the joint limits",
         columns,
         rows,
         indent="  ",

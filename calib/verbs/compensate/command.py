@@ -255,7 +255,12 @@ def compensate(
         with_chain = _with_chain_of(result, cell, str(source))
         if result.nominal.branches:
             target = tool.partition(":")[2] if tool and tool.startswith("target") else None
-            hand = chain_of_hand(result, cell.tip, target)
+            named = [
+                cell.tip,
+                *cell.tips.values(),
+            ]  # --tip LINK, or as for the fit, --tip NAME=LINK
+            links = [link for link in named if link is not None]
+            hand = chain_of_hand(result, links[0] if len(links) == 1 else None, target)
             nominal = load(robot, with_chain, result=result).rebuilt(None, *hand)
         else:
             nominal = load(robot, with_chain)

@@ -334,7 +334,7 @@ def chain_of_hand(result: Calibration, hand: str | None, target: str | None) -> 
     found = [chain for chain in result.nominal.chains if chain.tip == link]
     if not found:
         tips = dict.fromkeys(chain.tip for chain in result.nominal.chains)
-        named = "it names none" if link is None else f"none ends at '{link}'"
+        named = "no one hand is named" if link is None else f"none ends at '{link}'"
         raise ModelError(
             f"The result has several chains, to {choices(tips)}; {named}. Name one by --tip LINK, or by --tip TARGET "
             f"with one of the targets {choices(links)}."

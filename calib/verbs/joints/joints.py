@@ -65,7 +65,7 @@ class JointValues(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredThere(Value):
-    """What was measured at the poses, by which solutions are told apart."""
+    """The measurements at the poses, with which the right solution is chosen."""
 
     #: The chain that is fitted, such as from the camera's link to the board's.
     robot: Robot
