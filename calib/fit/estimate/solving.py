@@ -23,8 +23,8 @@ from calib.fit.estimate.task import Task
 from calib.model.observability import steps
 from calib.numerics.solvers import SOLVERS, Solution
 
-#: Tolerance of a solve between stages, whose weights and priors change far more, in steps of 1 mm and 1 mrad, and of
-#: lenses and boards in standard deviations: images may leave a lens's last coefficient open to a thousand steps.
+#: Tolerance of a solve between stages, whose weights and priors change far more, in steps of 1 mm and 1 mrad; of images
+#: in standard deviations, if these are larger: a lens's last coefficient may be open to a thousand steps.
 _ROUGH = 0.1
 
 #: Tolerance of the last solve, in the same steps.
@@ -53,9 +53,7 @@ class StageSolver:
         """
         self._problem = problem
         self._solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
-        model = problem.kinematics.model
-        self._step = steps(model.units)
-        self._is_internal = np.isin(np.arange(len(model)), [k for k, _ in model.internals])
+        self._step = steps(problem.kinematics.model.units)
         self._x: Array = start.copy()
         self._solution: Solution | None = None  # Of all solves so far
         self._linear: LinearProblem | None = None  # At the solution of the last stage
@@ -125,8 +123,9 @@ class StageSolver:
 
     def _step_size(self, covariance: Array) -> Array:
         """The steps in which changes of parameters count, (p,), where they have a covariance (1, p, p)."""
-        std = np.sqrt(np.diagonal(covariance[0]))
-        return np.where(self._is_internal, np.maximum(self._step, std), self._step)
+        if not np.any(self._problem.rows.has_views):
+            return self._step
+        return np.maximum(self._step, np.sqrt(np.diagonal(covariance[0])))
 
 
 def estimate_with_priors(
