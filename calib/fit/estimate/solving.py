@@ -125,7 +125,7 @@ class StageSolver:
         """The steps in which changes of parameters count, (p,), where they have a covariance (1, p, p)."""
         if not np.any(self._problem.rows.has_views):
             return self._step
-        return np.maximum(self._step, np.sqrt(np.diagonal(covariance[0])))
+        return np.asarray(np.maximum(self._step, np.sqrt(np.diagonal(covariance[0]))))
 
 
 def estimate_with_priors(

@@ -191,9 +191,11 @@ class Stops:
             root_share = np.sqrt(w / weight_of_cell[stops._cell_of_row])
             Y = columns[:, :, stops.rows]
             for c in channels:
-                means, independent, of_channel = stops._independent_means(Y, w, c, rho[c])
-                independent -= means
-                result[:, :, stops.rows] += independent[:, :, stops._cell_of_row] * root_share
+                means, change, of_channel = stops._independent_means(Y, w, c, rho[c])
+                change -= means
+                if stops._has_repeats:
+                    change = change[:, :, stops._cell_of_row] * root_share
+                result[:, :, stops.rows] += change
                 log_det += of_channel
         return result, log_det
 
@@ -296,10 +298,10 @@ class Stops:
         means, J, count = self._means(Y, weights, c)
         kappa = unshared(rho)
         G = J * (root_shares(rho, len(J)) / np.sqrt(kappa))[:, None, None]
-        sums = self._sums_of_products(G, np.concatenate([G, means]))
-        squares, Q = np.linalg.eigh(sums[..., : len(G)])
+        squares, Q = np.linalg.eigh(self._sums_of_products(G, G))
         s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
-        shared = (Q / (s + s**2)) @ (transposed(Q) @ sums[..., len(G) :])  # (S, d, q)
+        sums = self._sums_of_products(G, means)
+        shared = (Q / (s + s**2)) @ (transposed(Q) @ sums)  # (S, d, q)
         independent = means.copy()
         flat = independent.reshape(len(means), -1)
         for stops, scalars in self._batches():
@@ -321,8 +323,8 @@ class Stops:
         total = np.add.reduceat(weights, self._first_row)
         count = of_channel[:, self._first_row] * np.minimum(total, 1.0)
         J = self.J.transpose(2, 1, 0) * (np.sqrt(weights) * of_channel)
-        if len(total) == len(weights):  # no repeats
-            return Y * of_channel, J, count
+        if not self._has_repeats:
+            return Y if np.all(of_channel) else Y * of_channel, J, count
         root = np.sqrt(weights / np.maximum(total, TINY)[self._cell_of_row]) * of_channel
         means = np.add.reduceat(Y * root, self._first_row, axis=2)
         return means, np.add.reduceat(J * root, self._first_row, axis=2), count
@@ -348,6 +350,11 @@ class Stops:
             stops = np.flatnonzero(sizes == size)
             cells = self._first_cell[stops, None] + np.arange(size)
             yield stops, (cells[:, None] + first_of_scalar[:, None]).reshape(len(stops), -1)
+
+    @property
+    def _has_repeats(self) -> bool:
+        """True if any cell holds several rows."""
+        return len(self._first_row) < len(self.rows)
 
     def _parts(self) -> list[Stops]:
         """Divide the n rows into parts of about `_PART` rows, for memory; the rows of a stop stay together."""
