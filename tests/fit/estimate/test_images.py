@@ -13,9 +13,12 @@ from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
 from calib.fit.registration.registration import register
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.fit.selection.row_weights import compare_weights
 from calib.model.kinematics import Kinematics
+from calib.model.observability import steps
 from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
+from calib.numerics.solvers import levenberg_marquardt
 from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
 
 
@@ -124,3 +127,37 @@ def test_the_order_of_images_and_corners_does_not_matter():
     placed, again = first.estimated_setup(), second.estimated_setup()
     np.testing.assert_allclose(again.T_frame_base, placed.T_frame_base, atol=1e-11)
     np.testing.assert_allclose(again.T_tip_target, placed.T_tip_target, atol=1e-11)
+
+
+def test_changes_of_images_count_in_standard_deviations_where_a_step_is_not_known():
+        robot = arm()
+    sizes = []
+
+    def solver(system, x0, step_size, step_tolerance):
+        sizes.append(step_size)
+        return levenberg_marquardt(system, x0, step_size, step_tolerance)
+
+    c = cell(cameras={"": replace(camera(), values=None, sigma=None)}, sigma={"px": 20.0})
+    rows, setup = rows_and_setup(robot, table(poses(8), noise=20.0), c)
+    fitted = fit(Task(robot, c, setup, "zeros", solver=solver), rows)
+    step = steps(fitted.kinematics.model.units)
+    stds = np.sqrt(np.diag(fitted.estimate.covariance))
+    assert np.any(stds > 10.0 * step)
+    np.testing.assert_allclose(sizes[-1], np.maximum(step, stds), rtol=0.2)
+
+
+def test_other_fits_to_images_begin_where_the_first_ended():
+    robot = arm()
+    m = table(poses(8), noise=0.3)
+    rows, setup = rows_and_setup(robot, m, cell())
+    starts = []
+
+    def solver(system, x0, step_size, step_tolerance):
+        starts.append(x0.copy())
+        return levenberg_marquardt(system, x0, step_size, step_tolerance)
+
+    fitted = fit(Task(robot, cell(), setup, "zeros", solver=solver), rows)
+    assert fitted.near == (fitted,)
+    count = len(starts)
+    compare_weights(fitted)
+    np.testing.assert_array_equal(starts[count], fitted.estimate.x)

@@ -46,3 +46,15 @@ def test_camera_and_board_are_registered_from_nothing(lens):
     T_camera_base, T_tip_board = mounts()
     np.testing.assert_allclose(registered.T_frame_base[0], T_camera_base, atol=1e-6)
     np.testing.assert_allclose(registered.T_tip_target[0], T_tip_board, atol=1e-6)
+
+
+def test_registration_near_another_ends_where_one_from_the_views_does():
+    robot = arm()
+    rows, setup = rows_and_setup(robot, table(poses(8), noise=0.3), cell())
+    T_base_tip = robot.poses(rows.joints)
+    some = rows.samples.q[:, 0] != rows.samples.q[0, 0]
+    near = register(T_base_tip[some], setup, rows.select(some))
+    from_near = register(T_base_tip, setup, rows, near=near)
+    from_views = register(T_base_tip, setup, rows)
+    moved = np.abs(near.T_frame_base - from_views.T_frame_base).max()
+    assert np.abs(from_near.T_frame_base - from_views.T_frame_base).max() < 1e-3 * moved
