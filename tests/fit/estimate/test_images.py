@@ -130,7 +130,7 @@ def test_the_order_of_images_and_corners_does_not_matter():
 
 
 def test_changes_of_images_count_in_standard_deviations_where_a_step_is_not_known():
-        robot = arm()
+    robot = arm()
     sizes = []
 
     def solver(system, x0, step_size, step_tolerance):
