@@ -89,10 +89,9 @@ def simulate(
 
     It raises `CalibError` if neither a table nor a folder of pictures is named, or a file may not be written.
     """
-    from calib.data.cell_chains import refuse_several_chains
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.picture_files import write_pictures
-    from calib.verbs.simulate.scenario import simulate as simulate_rows
+    from calib.verbs.simulate.scenario import simulate as simulate_rows, with_robots_placed
     from calib.verbs.simulate.scenario_words import read_scenario
     from calib.verbs.simulate.text import simulated_text
     from calib.verbs.simulate.truth_file import write_truth
@@ -110,8 +109,7 @@ def simulate(
         files = [path for path in files if path is None or path.parent != images]
     inputs = [robot, poses.poses, cell_options.file, errors.truth_robot]
     check_outputs(files, inputs, force=force)
-    cell = cell_options.cell()
-    refuse_several_chains(cell, "calib simulate makes rows")
+    cell = with_robots_placed(cell_options.cell())
     arm = load(robot, cell)
     scenario = read_scenario(arm, cell, cell_options.file, errors)
     if images is not None and not scenario.kind.is_image:
