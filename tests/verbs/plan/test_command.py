@@ -176,7 +176,7 @@ def test_options_of_images():
 
 
 def test_camera_and_board_are_put_into_the_cell():
-    options = ImageOptions(camera_at="0 60 30 mm 0 0 90 deg", board_at="1 2 3 mm 0 0 90 deg")
+    options = ImageOptions(camera_at=["0 60 30 mm 0 0 90 deg"], board_at="1 2 3 mm 0 0 90 deg")
     cell = Cell(cameras={"": Camera(width=640, height=480)})
     placed = options.in_cell(cell)
     np.testing.assert_allclose(np.linalg.inv(placed.T_frame_base)[:3, 3], [0.0, 0.06, 0.03])
@@ -197,7 +197,7 @@ def test_camera_and_board_are_put_into_the_cell():
     ("make", "words"),
     [
         (lambda cell: ImageOptions(board_at="here").in_cell(cell), "--board-at"),
-        (lambda cell: ImageOptions(camera_at="here").in_cell(cell), "--camera-at"),
+        (lambda cell: ImageOptions(camera_at=["here"]).in_cell(cell), "--camera-at"),
         (lambda _: ImageOptions(distance="3 mm").limits(), "--distance"),
         (lambda _: ImageOptions(tilt="40").limits(), "--tilt"),
     ],
