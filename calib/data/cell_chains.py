@@ -185,9 +185,7 @@ def refuse_several_chains(cell: Cell, what: str) -> None:
         named = choices([*cell.bases, *cell.tips, *cell.robots])
         raise ModelError(
             f"{what} for one chain at a time, but links are named for {named}. Give --base LINK and --tip LINK of one "
-            "hand, then of the next: the rest of the robot stands still, and is an obstacle. The tables of several "
-            "hands go into one, with a column 'target' that names the hand, and the cells of the other hand's joints "
-            "left empty."
+            "hand, then of the next: the rest of the robot stands still."
         )
 
 

@@ -239,6 +239,7 @@ Examples:
   calib plan ur3 --base base --tip tool0 --target "70 -70 22.5 mm" -o plan.csv
   calib plan robot.urdf --cell cell.toml --tracker "2500 0 500 mm" -o plan.csv --json plan.json
   calib plan robot.urdf --region region.json --model dh --count 40 -o plan.csv
+  calib plan robot.urdf --tip left=hand_l --tip right=hand_r --frame estimate -o plan.csv
   calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
   calib plan robot.urdf --camera-on tool0 --camera 1280x720 --camera-at "0 60 30 mm"
     --board-on base_link --board board.toml --board-at "500 0 0 mm 180 0 0 deg" -o images.csv

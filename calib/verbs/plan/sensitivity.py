@@ -295,8 +295,10 @@ class Sensitivity:
         return tuple((groups[view.frame], targets[t]) for view in self.views for t in view.targets)
 
     def of_sights(self, seen: Mask) -> Mask:
-        """Return which sights are seen, (n, k), by which of the v views are, (n, v)."""
-        return np.repeat(seen, [len(view.targets) for view in self.views], axis=1)
+        """Return which sights are seen, (n, k), read-only, by which of the v views are, (n, v)."""
+        of_sights = np.repeat(seen, [len(view.targets) for view in self.views], axis=1)
+        of_sights.setflags(write=False)
+        return of_sights
 
     @property
     def names(self) -> tuple[str, ...]:

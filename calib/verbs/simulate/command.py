@@ -50,6 +50,7 @@ Examples:
   calib simulate robot.urdf --poses plan.csv --seed 2 -o table.csv --truth truth.json
   calib simulate robot.urdf --count 50 --validation 20 --frame estimate -o table.csv
   calib simulate robot.urdf --error "elbow_joint.rx=2 mrad" --noise none -o table.csv
+  calib simulate robot.urdf --tip left=hand_l --tip right=hand_r --frame estimate -o hands.csv
   calib simulate ur5 --kind pixel --camera-on tool0 --board-on base_link --images pictures -o corners.csv
 
 It writes a table for calib calibrate, and next to it the truth: the robot's errors, targets, frames, and what was

@@ -267,3 +267,25 @@ def test_planned_poses_leave_less_error_than_random_ones():
     planned_rms, random_rms = (rms(np.array(squares[name])) for name in ("planned", "random"))
     assert planned_rms < 0.8 * random_rms
     assert planned_rms == pytest.approx(chosen.forecast.rms, rel=0.4)
+
+
+@pytest.mark.slow
+def test_from_a_plan_over_simulated_rows_to_further_poses(call, tmp_path: Path):
+    """The command line, with one set of options: plan, simulate what was planned, plan further poses."""
+    (tmp_path / "cell.toml").write_text(
+        'frame = "estimate"\nsigma_mm = 0.05\n[tips]\na = "panda_link8"\nb = "right/panda_link8"\n'
+        '[robots.right]\nrobot = "panda"\nxyz_mm = [1000, 0, 0]\nrpy_deg = [0, 0, 180]\n'
+    )
+    words = ("panda", "--cell", "cell.toml")
+    more = ("--no-collisions", "--candidates", "200", "--validation", "0")
+    assert call(tmp_path, "plan", *words, *more, "--count", "12", "-o", "p.csv").code == 0
+    done = call(tmp_path, "simulate", *words, "--poses", "p.csv", "-o", "t.csv")
+    assert (done.code, done.err) == (0, "")
+    assert "24 rows" in done.out
+    done = call(tmp_path, "plan", *words, *more, "--count", "3", "--taken", "t.csv", "-o", "n.csv")
+    assert "3 poses for calibration in addition to 12 measured ones" in " ".join(done.out.split())
+    rows = (tmp_path / "n.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows[1:]] == [str(k) for k in range(25, 31)]
+    refused = call(tmp_path, "plan", *words, *more, "--view", "p.html")
+    assert refused.code != 0
+    assert "--view shows a plan for one hand" in refused.err

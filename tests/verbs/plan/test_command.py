@@ -193,6 +193,16 @@ def test_camera_and_board_are_put_into_the_cell():
     assert options.in_cell(without) is without
 
 
+def test_each_of_several_cameras_is_put_where_its_name_says():
+    cell = Cell(cameras={name: Camera(width=640, height=480) for name in ("wall", "wrist")})
+    placed = ImageOptions(camera_at=["0 0 9 mm", "wrist=0 60 30 mm"]).in_cell(cell)
+    np.testing.assert_allclose(np.linalg.inv(placed.frames["wrist"])[:3, 3], [0.0, 0.06, 0.03])
+    assert list(placed.frames) == ["wrist"]  # that of the other is the one without a name
+    np.testing.assert_allclose(np.linalg.inv(placed.T_frame_base)[:3, 3], [0.0, 0.0, 0.009])
+    with pytest.raises(CalibError, match=r"--camera-at head=0 0 9 mm.*'wall', 'wrist'"):
+        ImageOptions(camera_at=["head=0 0 9 mm"]).in_cell(cell)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
