@@ -140,7 +140,7 @@ def refocused(drawn: Drawn) -> Measurements:
     values = equipment.camera.values.copy()
     values[:2] *= 1.0 + between(random, FOCUS) * random.choice([-1.0, 1.0])
     values[2:4] += random.normal(0.0, 2.0, 2)
-    other = replace(equipment, camera=replace(equipment.camera, values=read_only(values)))
+    other = replace(equipment, cameras=(replace(equipment.camera, values=read_only(values)),))
     return joined(drawn.table(), drawn.table(replace(drawn.cell, equipment=other)), drawn.place())
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+import itertools
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +22,8 @@ from calib.robot.urdf import Urdf, read_urdf
 
 #: A station and a target, by name.
 Sight = tuple[str, str]
+
+Entry = TypeVar("Entry")
 
 
 def sights_of(
@@ -48,6 +53,92 @@ def sights_of(
     seen = zip(kinds, targets, groups, strict=True)
     groups = [target if name in of_joint else group for name, target, group in seen]
     return tuple(dict.fromkeys(zip(groups, targets, strict=True)))
+
+
+def named_stations(cell: Cell, *, images: bool = False) -> tuple[str, ...]:
+    """Return the stations that a cell names, in its order; ``("",)`` if it names none.
+
+    Args:
+        cell: The cell.
+        images: Whether pictures are taken, so that its cameras are stations.
+    """
+    cameras = [name for name in cell.cameras if name] if images else []
+    return tuple(dict.fromkeys((*cell.frames, *cell.bases, *cameras))) or ("",)
+
+
+def named_targets(cell: Cell, *, images: bool = False) -> tuple[str, ...]:
+    """Return the targets that a cell names, in its order; the name of a table's only target if it names none.
+
+    Args:
+        cell: The cell.
+        images: Whether pictures are taken, so that its boards are targets.
+    """
+    boards = [name for name in cell.boards if name] if images else []
+    named = tuple(dict.fromkeys((*cell.targets, *cell.tips, *boards)))
+    return named or (WORD_COLUMNS["targets"][1],)
+
+
+def links_of(
+    cell: Cell, robot: Robot, stations: Iterable[str], targets: Iterable[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the links that stations, and those that targets are mounted on.
+
+    Args:
+        cell: Names links.
+        robot: The robot of the cell, see `robot_of_cell`; its base and tip if the cell names none.
+        stations: Names of the stations.
+        targets: Names of the targets.
+    """
+    base, tip = robot.base, robot.tip
+    if cell.bases or cell.tips:
+        base, tip = cell.base or robot.urdf.root, cell.tip or robot.tip
+    frame_links = tuple(cell.bases.get(name, base) for name in stations)
+    return frame_links, tuple(cell.tips.get(name, tip) for name in targets)
+
+
+def chain_numbers(
+    robot: Robot, frame_links: Sequence[str], target_links: Sequence[str]
+) -> dict[tuple[int, int], int]:
+    """Return which stations see which targets, and through which chain, by its number in ``robot.chains``.
+
+    Args:
+        robot: The robot, which has a chain between two links if anything moves between them.
+        frame_links: Link of each station.
+        target_links: Link of each target.
+
+    Returns:
+        The chain by the numbers of station and target, those of the first station first.
+    """
+    numbers = {(chain.base, chain.tip): k for k, chain in enumerate(robot.chains)}
+    pairs = itertools.product(enumerate(frame_links), enumerate(target_links))
+    return {(f, t): numbers[base, tip] for (f, base), (t, tip) in pairs if (base, tip) in numbers}
+
+
+def cell_of_sight(cell: Cell, station: str, target: str) -> Cell:
+    """Return a cell with what it says of one station and one target, under no name.
+
+    Args:
+        cell: The cell.
+        station: Name of the station; its frame and camera are kept, or those without a name.
+        target: Name of the target; its place and board are kept, or those without a name.
+    """
+
+    def of(name: str, entries: Mapping[str, Entry]) -> dict[str, Entry]:
+        """Return the entry of a name, or else that without one, if there is any."""
+        found = entries.get(name, entries.get(""))
+        return {} if found is None else {"": found}
+
+    return replace(
+        cell,
+        T_frame_base=cell.frames.get(station, cell.T_frame_base),
+        frames={},
+        target=cell.targets.get(target, cell.target),
+        targets={},
+        cameras=of(station, cell.cameras),
+        boards=of(target, cell.boards),
+        bases={},
+        tips={},
+    )
 
 
 def check_links_named(cell: Cell, sights: Iterable[Sight], source: str) -> None:
@@ -94,9 +185,7 @@ def refuse_several_chains(cell: Cell, what: str) -> None:
         named = choices([*cell.bases, *cell.tips, *cell.robots])
         raise ModelError(
             f"{what} for one chain at a time, but links are named for {named}. Give --base LINK and --tip LINK of one "
-            "hand, then of the next: the rest of the robot stands still, and is an obstacle. The tables of several "
-            "hands go into one, with a column 'target' that names the hand, and the cells of the other hand's joints "
-            "left empty."
+            "hand, then of the next: the rest of the robot stands still."
         )
 
 
@@ -112,7 +201,8 @@ def robot_of_cell(
         urdf: The robot.
         cell: Links of frames and targets.
         measured: Names of the joints whose values are known, which decide a tip that the cell does not name.
-        sights: Stations and targets that occur together; None: each station with each target that the cell names.
+        sights: Stations and targets that occur together; None: each station with each target that the cell names, if
+            a joint moves them against each other.
 
     Returns:
         The robot: one chain, or one with a branch for each further pair of links.
@@ -140,9 +230,9 @@ def robot_of_cell(
             urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
         )
     if not seen:
-        seen = tuple(
-            (group, target) for group in cell.bases or [""] for target in cell.tips or [""]
-        )
+        stations = named_stations(cell, images=True)
+        every = tuple(itertools.product(stations, named_targets(cell, images=True)))
+        seen = tuple(sight for sight in every if _moves(urdf, cell, *sight)) or every
     ends: list[tuple[str, str | None]] = []
     if stops and len(stops) == len(seen):  # the arm itself is seen by no row
         ends.append((cell.base or urdf.root, cell.tip))
@@ -168,6 +258,15 @@ def robot_of_cell(
     return Robot.from_urdf(
         urdf, base, tip, held=cell.held, coupling=cell.coupling, branches=branches, parts=parts
     )
+
+
+def _moves(urdf: Urdf, cell: Cell, station: str, target: str) -> bool:
+    """Return whether a joint that is not held moves a target against a station; yes if its link is not named."""
+    base, tip = cell.bases.get(station, cell.base or urdf.root), cell.tips.get(target, cell.tip)
+    if tip is None or not {base, tip} <= set(urdf.links):  # unknown links are refused later
+        return True
+    names = {name for names in urdf.chain(base, tip) for name in names}
+    return any(urdf.joint(name).type != "fixed" and name not in cell.held for name in names)
 
 
 def robot_with_chains_of(source: Robot, urdf: Urdf, held: Mapping[str, float]) -> Robot:

@@ -41,7 +41,7 @@ from calib.data.measurements import Measurements
 from calib.data.surroundings import TrackerNoise
 from calib.errors import CalibError, ModelError
 from calib.instruments.instrument import Assumption, Condition, Instrument, Sightline, transform
-from calib.model.error_model import ErrorModel
+from calib.model.error_model import ErrorModel, Parameter
 from calib.numerics.geometry import pose_of
 from calib.robot.robot import Robot
 
@@ -196,6 +196,10 @@ class CameraInstrument(Instrument):
         """Return a cell with the camera as assumed, and a board whose corners have no errors of their own."""
         board = replace(self.board, sigma_corner=0.0)
         return replace(cell, kind=PIXEL, cameras={"": self.camera}, boards={"": board})
+
+    def with_internals(self, internals: Array) -> CameraInstrument:
+        """Return the camera with internals at each corner, (c, `calib.camera.optics.COUNT`), that number it."""
+        return replace(self, internals=internals)
 
     def stops(self, q: Array) -> Array:
         """Return the joint values of n images, shape (n, m) [rad or m], each once of those of N rows, (N, m).
@@ -373,7 +377,11 @@ class CameraInstrument(Instrument):
             shape (n, k, p), k combinations of the images' coordinates whose errors are independent and of variance 1;
             zero if no corner is seen.
         """
-        own = [(number, parameter.internal) for number, parameter in model.internals]
+        own = [
+            (number, parameter.internal)
+            for number, parameter in model.internals
+            if self._has(parameter)
+        ]
         numbers = [number for number, _ in own]
         columns = [column for _, column in own if column is not None]
         by_own = np.eye(len(model))[numbers]
@@ -404,6 +412,15 @@ class CameraInstrument(Instrument):
             unknown = np.broadcast_to(by_own, (len(R), *by_own.shape))
             parts.append(L_R @ np.concatenate([twists[block, 0], unknown], axis=1))
         return np.concatenate(parts)
+
+    def _has(self, parameter: Parameter) -> bool:
+        """Return whether a parameter is of this camera or its board, and not of another one of the cell."""
+        owners = (optics.CAMERA, optics.BOARD)
+        return all(
+            number == self.internals[0, column]
+            for column, number in parameter.samples
+            if column in owners
+        )
 
     def project(self, in_camera: Array) -> tuple[Array, Array]:
         """Return the images u and v [px], shape (...) each, of points in the camera's frame, (..., 3) [m]."""

@@ -129,6 +129,15 @@ class Instrument(Value, ABC):
         """Return the joint values of the robot's stops (n, m), by those of the rows of a table (N, m), [rad] or [m]."""
         return q
 
+    def with_internals(self, internals: Array) -> Instrument:
+        """Return the instrument with the internals of its rows at a stop, one of several instruments of a cell.
+
+        Args:
+            internals: Shape (c, k), see `calib.instruments.internals`.
+        """
+        del internals
+        return self
+
     @abstractmethod
     def sees(self, sightlines: Sequence[Sightline]) -> Iterator[Condition]:
         """Yield the conditions under which all targets are measured, the cheap ones first.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
 from calib.basics.arrays import Array
@@ -103,3 +104,14 @@ def joined_urdf(first: Urdf, parts: tuple[Part, ...], mounts: Mapping[str, Array
 def _tag(element: Element) -> str:
     """Return the tag of an element without its namespace."""
     return str(element.tag).rpartition("}")[2]
+
+
+def path_of_robot(path: str | Path, name: str) -> Path:
+    """Return the path of the URDF of one robot of a cell: ``cell_right.urdf`` of ``right`` beside ``cell.urdf``.
+
+    Args:
+        path: That of the cell's URDF.
+        name: The robot's name; empty for the first, ``cell_first.urdf``.
+    """
+    of_cell = Path(path)
+    return of_cell.with_name(f"{of_cell.stem}_{name or 'first'}{of_cell.suffix}")

@@ -126,15 +126,18 @@ def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, f
     A joint whose bounds would leave nothing is not considered.
     """
     bounds = np.array([bounds_of(joint) for joint in robot.inputs])
-    values_at_zero = robot.chain_values(np.zeros(len(bounds)))[0]
-    for row, joint, at_zero in zip(robot.mimic_matrix, robot.joints, values_at_zero, strict=True):
-        for column in np.flatnonzero(row):
-            # The column's values at which this joint, row[column] q + at_zero, is at its bounds.
-            ends = (np.array(bounds_of(joint)) - at_zero) / row[column]
-            low = max(bounds[column, 0], ends.min())
-            high = min(bounds[column, 1], ends.max())
-            if low < high:
-                bounds[column] = low, high
+    for chain in robot.chains:
+        values_at_zero = chain.chain_values(np.zeros(len(bounds)))[0]
+        for row, joint, at_zero in zip(
+            chain.mimic_matrix, chain.joints, values_at_zero, strict=True
+        ):
+            for column in np.flatnonzero(row):
+                # The column's values at which this joint, row[column] q + at_zero, is at its bounds.
+                ends = (np.array(bounds_of(joint)) - at_zero) / row[column]
+                low = max(bounds[column, 0], ends.min())
+                high = min(bounds[column, 1], ends.max())
+                if low < high:
+                    bounds[column] = low, high
     return read_only(bounds)
 
 

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from calib.basics.tables import Table
+from calib.boards.board import Board
+from calib.camera.camera import Camera
 from calib.cli.loading import load, load_with_data, with_chain_of_result
 from calib.data.cell import Cell, FurtherRobot
 from calib.data.cell_chains import (
+    cell_of_sight,
+    chain_numbers,
     check_links_named,
+    links_of,
+    named_stations,
+    named_targets,
     refuse_several_chains,
     robot_of_cell,
     robot_with_chains_of,
@@ -127,6 +134,60 @@ def test_links_of_what_the_table_lacks_are_refused():
         check_links_named(wrong, SIGHTS, "data.csv")
     with pytest.raises(ModelError, match=r"--base t1=panda_link0.*the table has no column 'group'"):
         check_links_named(Cell(bases={"t1": "panda_link0"}), (("", "a"),), "data.csv")
+
+
+#: Cameras on the wrist and on the wall, boards on the table and on the flange.
+WRIST_AND_WALL = Cell(
+    bases={"wrist": "panda_link8", "wall": "panda_link0"},
+    tips={"table": "panda_link0", "flange": "panda_link8"},
+    cameras={"wall": Camera(width=640, height=480), "door": Camera(width=1280, height=720)},
+    boards={"": Board(pattern="chessboard", columns=5, rows=4, square=0.04)},
+    frames={"wall": np.eye(4)},
+    targets={"table": [0.1, 0.2, 0.3]},
+)
+
+
+def test_stations_and_targets_are_those_that_the_cell_names():
+    assert named_stations(Cell()) == ("",)
+    assert named_targets(Cell()) == ("target",)
+    assert named_stations(WRIST_AND_WALL) == ("wall", "wrist")
+    assert named_stations(WRIST_AND_WALL, images=True) == ("wall", "wrist", "door")
+    assert named_targets(WRIST_AND_WALL, images=True) == ("table", "flange")
+    robot = robot_of_cell(read_urdf("panda"), replace(WRIST_AND_WALL, cameras={}))
+    links = links_of(WRIST_AND_WALL, robot, ("wall", "door", "wrist"), ("flange", "table"))
+    assert links == (
+        ("panda_link0", "panda_link0", "panda_link8"),
+        ("panda_link8", "panda_link0"),
+    )
+    plain = robot_of_cell(read_urdf("panda"), Cell(base="panda_link1", tip="panda_link7"))
+    assert links_of(Cell(), plain, ("",), ("t",)) == (("panda_link1",), ("panda_link7",))
+
+
+def test_a_target_that_nothing_moves_against_its_station_has_no_chain():
+    robot = robot_of_cell(read_urdf("panda"), replace(WRIST_AND_WALL, cameras={}))
+    assert [(chain.base, chain.tip) for chain in robot.chains] == [
+        ("panda_link0", "panda_link8"),
+        ("panda_link8", "panda_link0"),
+    ]
+    links = links_of(WRIST_AND_WALL, robot, ("wall", "wrist"), ("table", "flange"))
+    assert chain_numbers(robot, *links) == {(0, 1): 0, (1, 0): 1}
+    # With all joints between two links held, too.
+    held = {f"panda_joint{k}": 0.1 for k in (6, 7)}
+    cell = Cell(
+        bases={"a": "panda_link8", "b": "panda_link0"}, tips={"t": "panda_link5"}, held=held
+    )
+    assert robot_of_cell(read_urdf("panda"), cell).chains[0].base == "panda_link0"
+
+
+def test_a_cell_of_one_sight_says_what_it_says_of_these_two_alone():
+    one = cell_of_sight(WRIST_AND_WALL, "wall", "table")
+    assert (one.bases, one.tips, one.frames, one.targets) == ({}, {}, {}, {})
+    np.testing.assert_array_equal(one.T_frame_base, np.eye(4))
+    np.testing.assert_array_equal(one.target, [0.1, 0.2, 0.3])
+    assert one.cameras[""].width == 640
+    assert one.boards[""].columns == 5
+    other = cell_of_sight(WRIST_AND_WALL, "wrist", "flange")
+    assert (other.T_frame_base, other.target, other.cameras) == (None, None, {})
 
 
 def test_one_chain_at_a_time_where_several_are_not_taken():

@@ -1,12 +1,14 @@
 """One URDF of two robots, read by Pinocchio, and each robot's own URDF back from it."""
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from calib.errors import UrdfError
 from calib.numerics.geometry import pose_of
-from calib.robot.joined_urdf import Part, joined_urdf
+from calib.robot.joined_urdf import Part, joined_urdf, path_of_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 
@@ -65,3 +67,8 @@ def test_a_name_that_the_first_robot_has_is_refused():
     first = joined_urdf(panda, (Part("right", panda),), {"right": MOUNT})
     with pytest.raises(UrdfError, match="'right'"):
         joined_urdf(first, (Part("right", panda),), {"right": MOUNT})
+
+
+def test_the_urdf_of_each_robot_is_beside_that_of_the_cell():
+    assert path_of_robot("out/cell.urdf", "right") == Path("out/cell_right.urdf")
+    assert path_of_robot("out/cell.urdf", "") == Path("out/cell_first.urdf")

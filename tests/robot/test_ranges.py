@@ -215,3 +215,21 @@ def test_readings_are_spread_so_that_the_joints_fill_their_ranges(leg, coupled_l
         np.testing.assert_allclose(readings, by_hand, rtol=0, atol=1e-14)
         chain = coupled_leg.chain_values(readings)
         np.testing.assert_allclose(chain, leg.chain_values(values), rtol=0, atol=1e-13)
+
+
+def test_a_mimicking_joint_of_any_chain_narrows_the_joint_that_it_follows():
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>{limit}{mimic}</joint>'
+        for name, parent, child, mimic in (
+            ("l1", "root", "left", ""),
+            ("r1", "root", "elbow", ""),
+            ("r2", "elbow", "right", '<mimic joint="r1" multiplier="2"/>'),
+        )
+    )
+    links = "".join(f'<link name="{name}"/>' for name in ("root", "left", "elbow", "right"))
+    urdf = Urdf.from_bytes(f'<robot name="two">{links}{joints}</robot>'.encode(), "two")
+    robot = Robot.from_urdf(urdf, "root", "left", branches=[("root", "right")])
+    assert robot.joint_names == ("l1", "r1")
+    np.testing.assert_allclose(full_ranges(robot), [[-1.0, 1.0], [-0.5, 0.5]])

@@ -12,6 +12,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Integers, numbered, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.data.cell import AUTO, Cell
+from calib.data.cell_chains import links_of
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.data.stops import stop_links, stop_poses
@@ -249,11 +250,6 @@ def measurement_setup(
         if cell.target_rotation is not None:
             T[:3, :3] = cell.target_rotation
 
-    # As `calib.data.cell_chains` takes them.
-    base, tip = robot.base, robot.tip
-    if cell.bases or cell.tips:
-        base, tip = cell.base or robot.urdf.root, cell.tip or robot.tip
-
     # Of each target the directions that its kinds of rows depend on.
     kinds_of_targets = set(zip(measurements.targets, measurements.kinds, strict=True))
     target_directions = []
@@ -272,8 +268,7 @@ def measurement_setup(
     }
     in_contact = np.array([name not in not_contacts for name in targets])
     # A joint at its stop: its own two links, and poses that make its angle one about z.
-    frame_links = [cell.bases.get(group, base) for group in groups]
-    target_links = [cell.tips.get(name, tip) for name in targets]
+    frame_links, target_links = map(list, links_of(cell, robot, groups, targets))
     target_unknown = is_located & cell.estimate_target
     target_given = is_stated | ~is_located
     for name in stopped_joints(measurements):

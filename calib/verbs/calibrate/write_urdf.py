@@ -13,7 +13,7 @@ from calib.errors import ModelError, UrdfError, VerdictError
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.transforms import has_pose
-from calib.robot.joined_urdf import SEPARATOR
+from calib.robot.joined_urdf import SEPARATOR, path_of_robot
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.urdf import FRAME_LINK, TARGET_LINK, Urdf
@@ -59,17 +59,6 @@ def write_urdf(
             described = own.with_comments(run=c.run, verdict=verdict_against)
             described.write(path_of_robot(path, name), overwrite=overwrite)
     return urdf.write(path, overwrite=overwrite)
-
-
-def path_of_robot(path: str | Path, name: str) -> Path:
-    """Return the path of the URDF of one robot of a cell: ``cell_right.urdf`` of ``right`` beside ``cell.urdf``.
-
-    Args:
-        path: That of the cell's URDF.
-        name: The robot's name; empty for the first, ``cell_first.urdf``.
-    """
-    of_cell = Path(path)
-    return of_cell.with_name(f"{of_cell.stem}_{name or 'first'}{of_cell.suffix}")
 
 
 def checked_urdf(c: Calibration, *, target_link: bool = False, frame_link: bool = False) -> Urdf:

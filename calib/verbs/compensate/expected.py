@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri, fdtri, gammaln
 
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Integers, read_only
 from calib.basics.values import Value, keep_read_only
-from calib.numerics.errors import CrossValidation
+from calib.model.kinematics import Samples
+from calib.numerics.errors import CrossValidation, Errors
 from calib.result.calibration import Calibration
 from calib.result.doubts import CONTRADICTED
 from calib.result.fitted_model import FittedModel
@@ -127,7 +128,8 @@ def expected_errors(pair: Pair, q: Array) -> ExpectedErrors:
     part = result.part(non_geometric=pair.non_geometric)
     views = _views(pair, result, part, q)
     target, tool, arrived = (pose_covariance(part, view) for view in views)
-    lacking = _lacking(result, part, float(target.mean_square[1]))
+    held_out = _held_out(pair, result, part)
+    lacking = _lacking(result, part, held_out, float(target.mean_square[1]))
     measured = None
     if views[2].in_base and not views[1].in_base:
         measured = float(_mean_errors(tool.covariance, lacking)[:, 0].mean())
@@ -153,21 +155,31 @@ def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tupl
 
     The first two are in the measurement frame. If the tool is not a target, the target nearest to it is measured.
     """
-    setup = part.setup
+    setup, ends = part.setup, pair.nominal.robot
+    # Of several chains, those on the links of the commanded one.
+    targets_there = _on_link(setup.target_links, ends.tip, len(setup.targets))
+    groups_there = _on_link(setup.frame_links, ends.base, len(setup.groups))
     if pair.target is None:
         # The target nearest to the tool.
-        away = setup.T_tip_target[:, :3, 3] - pair.actual.T_tip_tool[:3, 3]
-        target = int(np.argmin(np.linalg.norm(away, axis=1)))
+        places = setup.T_tip_target[targets_there, :3, 3]
+        away = places - pair.actual.T_tip_tool[:3, 3]
+        target = int(targets_there[np.argmin(np.linalg.norm(away, axis=1))])
     else:
         target = setup.targets.index(pair.target)
-    group = 0 if pair.group is None else setup.groups.index(pair.group)
+    group = int(groups_there[0]) if pair.group is None else setup.groups.index(pair.group)
     frames, targets = np.full(len(q), group), np.full(len(q), target)
-    samples = replace(pair.actual.samples(q), frame=frames, target=targets)
+    chain = setup.chains(result.nominal, frames, targets)
+    if chain is not None:
+        samples = Samples(pair.of_all_joints(q), frames, targets, chain=chain)
+    else:
+        samples = replace(pair.actual.samples(q), frame=frames, target=targets)
     T_tip_tool = pair.actual.T_tip_tool if pair.target is None else None
 
-    in_base, unknown = pair.group is None, bool(unknown_base_directions(result))
+    in_base = pair.group is None
+    unknown = bool(unknown_base_directions(result, None if chain is None else ends.base))
     known = np.zeros((6, 6))
-    base = unmodelled_base(result, part) if in_base and unknown else known
+    number = 0 if chain is None else int(chain[0])
+    base = unmodelled_base(result, part, number) if in_base and unknown else known
     # If no positions were measured, poses in the base are determined up to a rigid motion of the base.
     as_base = not result.rows.tells_place or (in_base and not unknown)
     gauge = known if result.rows.tells_place else None
@@ -176,6 +188,12 @@ def _views(pair: Pair, result: Calibration, part: FittedModel, q: Array) -> tupl
         View(samples, T_tip_tool, as_base, gauge),
         View(samples, T_tip_tool, in_base, base),
     )
+
+
+def _on_link(links: tuple[str, ...], link: str, count: int) -> Integers:
+    """Return the numbers of those, of a count, that are mounted on a link; of all if none is said to be elsewhere."""
+    numbers = [k for k in range(count) if not links or links[k] == link]
+    return np.array(numbers or range(count))
 
 
 def _mean_errors(covariance: Array, lacking: Array) -> Array:
@@ -243,15 +261,25 @@ def _contributions(
     return dict(zip(sources, squares, strict=True))
 
 
-def _lacking(result: Calibration, part: FittedModel, predicted_angle: float) -> Array:
+def _held_out(pair: Pair, result: Calibration, part: FittedModel) -> Errors | None:
+    """Return errors of held-out rows without outliers, of several chains those of the commanded one; None: none."""
+    ends = pair.nominal.robot
+    for chain in result.trust.chains:
+        if (chain.base, chain.tip) == (ends.base, ends.tip):
+            return chain.calibrated
+    return None if part.cross_validation is None else part.cross_validation.errors_without_outliers
+
+
+def _lacking(
+    result: Calibration, part: FittedModel, errors: Errors | None, predicted_angle: float
+) -> Array:
     """Return mean squares of the errors that a model cannot describe, of positions [m^2] and angles [rad^2], (2,).
 
-    They are 0 if the model was not cross-validated, or its held-out errors are explained by noise and by the errors of
-    its parameters; for angles the mean square of the latter is given, [rad^2].
+    They are 0 if the model was not cross-validated, so that there are no held-out errors (None), or if these are
+    explained by noise and by the errors of its parameters; for angles the mean square of the latter is given, [rad^2].
     """
-    if part.cross_validation is None:
+    if errors is None:
         return np.zeros(2)
-    errors = part.cross_validation.errors_without_outliers
     _, sigma, freedom = _instrument_noise(result)
     predicted = {"m": part.noise_measured**2, "rad": predicted_angle}
     channels = result.rows.channels.select(result.rows.estimation)

@@ -210,6 +210,17 @@ class Pair(Value):
                 "calibrated model of the same robot, with the same zero positions."
             )
 
+    def of_all_joints(self, q: Array) -> Array:
+        """Return joint values of the pair, (N, m), as columns of all joints of the result, shape (N, M), [rad] or [m].
+
+        Those of joints beside the pair's chain, in a result of several chains, are 0.
+        """
+        assert self.result is not None
+        names, own = self.result.nominal.joint_names, self.nominal.robot.joint_names
+        whole = np.zeros((len(q), len(names)))
+        whole[:, [names.index(name) for name in own]] = q
+        return whole
+
     @property
     def reach(self) -> float:
         """Length of the actual arm, stretched out, with its tool [m]; at least a millimetre."""
@@ -393,6 +404,7 @@ def _pair_of_chain(
         T_frame_base=T_frame_base,
         target=target,
         group=group,
+        result=result,
     )
 
 

@@ -24,6 +24,7 @@ import pinocchio as pin
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, rigid_inverse
 from calib.model.error_model import TARGET
+from calib.model.error_on_chain import model_on_chain
 from calib.model.families import FAMILIES
 from calib.model.frozen import frozen_parameters
 from calib.model.kinematics import Samples
@@ -31,6 +32,7 @@ from calib.model.parameter_sets import DIRECTIONS, OWN, error_model, split_name
 from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel, twists_in_base
+from calib.robot.robot import Robot
 
 #: Number of rows whose derivatives are in memory at the same time.
 _AT_A_TIME = 2048
@@ -124,21 +126,26 @@ def pose_covariance(part: FittedModel, view: View) -> PoseCovariance:
     return PoseCovariance(np.concatenate(covariances), shared, by_priors, float(gram[-1, -1]))
 
 
-def unknown_base_directions(result: Calibration) -> tuple[str, ...]:
+def unknown_base_directions(result: Calibration, base: str | None = None) -> tuple[str, ...]:
     """Return the directions of the base that no measurement determines, of `calib.model.parameter_sets.DIRECTIONS`.
 
     They are those that are estimated of every frame in which positions were measured; all six if none were measured.
+
+    Args:
+        result: The calibration.
+        base: The link that is the base, of a result of several chains: frames on other links do not count.
     """
     rows, setup = result.rows, result.setup
     common = set(DIRECTIONS)
+    links = dict(zip(setup.groups, setup.frame_links, strict=False)) if base else {}
     seen = set(zip(rows.groups, rows.kinds, rows.estimation.tolist(), strict=True))
     for group, kind, fitted in seen:
-        if fitted and registry.get(kind).position:
+        if fitted and registry.get(kind).position and links.get(group, base) == base:
             common &= set(setup.unknown[setup.groups.index(group)])
     return tuple(direction for direction in DIRECTIONS if direction in common)
 
 
-def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
+def unmodelled_base(result: Calibration, part: FittedModel, number: int = 0) -> Array:
     """Compute the covariance of the first joint's placement that a model leaves out, as a motion of the base (6, 6).
 
     Every direction of the placement counts that neither a parameter of the model nor a frozen one has, with the prior
@@ -147,17 +154,25 @@ def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
     Args:
         result: The calibration.
         part: Its geometry or its non-geometric model.
+        number: Number of the chain that is commanded. If it passes the estimated mount of a further robot, the first
+            joint is that of a chain that does not: the mount takes up what displaces the robot that stands on it.
 
     Returns:
         Covariance along and about the base's axes, linear part first [m^2, m rad, rad^2]; zero for a known base.
     """
-    robot = result.nominal
+    tree = result.nominal
+    robot = tree.chains[number]
+    if {*tree.mounts} & {*robot.path}:
+        others = [chain for chain in tree.chains if chain.base == robot.base]
+        without = [chain for chain in others if not {*tree.mounts} & {*chain.path}]
+        robot = next(iter(without), robot)
     if robot.carriers[0] is None:
         return np.zeros((6, 6))
     joint = robot.joints[0].name
     T_base_joint = rigid_inverse(robot.T_root_base) @ robot.placements[0]
-    into_base = pin.SE3(T_base_joint).toActionMatrix() @ _left_out(result, part)
-    unknown = np.isin(DIRECTIONS, unknown_base_directions(result))
+    into_base = pin.SE3(T_base_joint).toActionMatrix() @ _left_out(result, part, robot)
+    base = robot.base if tree.branches else None
+    unknown = np.isin(DIRECTIONS, unknown_base_directions(result, base))
 
     # The standard deviation of each family: the model's, else that of the largest candidate with it, else the typical.
     prior_std = {name: family.typical for name, family in FAMILIES.items()}
@@ -167,28 +182,32 @@ def unmodelled_base(result: Calibration, part: FittedModel) -> Array:
     prior_std.update(part.prior_std)
 
     covariance = np.zeros((6, 6))
-    for error in error_model(robot, "placement", target=False).parameters:
-        if error.place == joint:
+    placement = model_on_chain(error_model(tree, "placement", target=False), tree, robot)
+    for error in placement.terms:
+        if error.place == joint and error.family in prior_std:
             motion = unknown * (into_base @ error.direction)
             covariance += np.outer(motion, motion) * float(prior_std[error.family]) ** 2
     return covariance
 
 
-def _left_out(result: Calibration, part: FittedModel) -> Array:
-    """Return the projection P (6, 6) of twists in the first joint's placement onto those that a model leaves out.
+def _left_out(result: Calibration, part: FittedModel, chain: Robot) -> Array:
+    """Return the projection P (6, 6) of twists in a chain's first placement onto those that a model leaves out.
 
     P = I - D^+ D,    D: directions of its errors and of frozen ones, one a row
     """
-    modelled = [term for term in part.model.terms if term.factor is None]
+    tree = result.nominal
+    on_chain = model_on_chain(part.model, tree, chain)
+    modelled = [term for term in on_chain.terms if term.factor is None]
     # Frozen parameters of the model's set and of the placements: the user takes them for exact.
     sets = {"placement"}
     if part.model.name != OWN:
         sets.add(split_name(part.model.name)[0])
     for name in sorted(sets):
-        parameters = error_model(result.nominal, name, target=False).parameters
-        frozen = frozen_parameters(result.nominal, parameters, result.method.frozen)
-        modelled += [p for p in parameters if p.name in frozen]
-    joint = result.nominal.joints[0].name
+        of_set = error_model(tree, name, target=False)
+        frozen = frozen_parameters(tree, of_set.parameters, result.method.frozen)
+        terms = model_on_chain(of_set, tree, chain).terms
+        modelled += [term for term in terms if term.name in frozen]
+    joint = chain.joints[0].name
     directions = [term.direction for term in modelled if term.place == joint]
     spanned = np.array(directions).reshape(-1, 6)
     return np.asarray(np.eye(6) - np.linalg.pinv(spanned) @ spanned)

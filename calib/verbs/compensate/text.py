@@ -109,7 +109,8 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
     # To check before the commands go to the robot.
     pair, robot = commands.pair, commands.nominal
     notes = [_mismatch(commands)]
-    if pair.result is not None and is_corrected(pair.result, robot):
+    several = pair.result is not None and bool(pair.result.nominal.branches)
+    if pair.result is not None and not several and is_corrected(pair.result, robot):
         notes.append(
             f"{robot.urdf.source} has the corrected joint origins: the commands are for a controller with this model, "
             "and correct only what the non-geometric model adds. For a controller with the nominal model give its URDF."
@@ -298,7 +299,9 @@ def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
         yield "To lower it: use the non-geometric model, without --geometry."
     elif largest == "base" and expected.in_measured_frame is not None:
         groups = result.setup.groups
-        name = "measured" if len(groups) == 1 else f'"{groups[0]}"'
+        links = result.setup.frame_links or (pair.nominal.robot.base,) * len(groups)
+        first = groups[links.index(pair.nominal.robot.base)]
+        name = "measured" if len(groups) == 1 else f'"{first}"'
         yield (
             f"To lower it: give the program in the measurement frame, --poses-in {name} "
             f"({_MM * expected.in_measured_frame:.3f} mm): an estimated frame absorbs whatever displaces the first "

@@ -165,8 +165,11 @@ def find_warnings(
     warn_of_poses("ambiguous pose", ambiguous, commands.left_by_pose[rows])
 
     if pair.result is not None:
-        for outside in pair.result.outside_of_measured(q):
+        names = pair.nominal.robot.joint_names
+        for outside in pair.result.outside_of_measured(pair.of_all_joints(q)):
             for joint in outside.beyond:
+                if joint.joint not in names:  # of another hand, which is not commanded
+                    continue
                 number = float(joint.by)
                 warning = CommandWarning("outside measured range", (number,), joint.joint)
                 warnings[rows[outside.index]].append(warning)

@@ -17,7 +17,7 @@ from calib.basics.arguments import (
     finite_numbers,
     numbers,
 )
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.jobs import Progress
 from calib.basics.values import Value
 from calib.errors import ModelError
@@ -127,6 +127,9 @@ class Choice(NamedTuple):
     ladder: tuple[tuple[int, Forecast], ...]
     #: The poses over which accuracy is forecast.
     workspace: Workspace
+    #: Shape (count + validation, v), which views measure at the poses to fit, then at those to validate with; None:
+    #: all.
+    seen: Mask | None = None
 
 
 def choose_poses(
@@ -136,6 +139,7 @@ def choose_poses(
     taken: Array | None = None,
     *,
     taken_moves: Array | None = None,
+    taken_seen: Mask | None = None,
     sides: Array | None = None,
     progress: Progress | None = None,
 ) -> Choice:
@@ -149,6 +153,7 @@ def choose_poses(
             planned again; None: none are.
         taken_moves: Last move of each joint before each of these, shape (T, m), [rad] or [m]; None: from the pose
             before.
+        taken_seen: Which of the v views measured at each of these, shape (T, v); None: all.
         sides: Moves by which the joints arrive at each pose, shape (s, m), see `calib.verbs.plan.approach.approaches`;
             None: straight from the pose before.
         progress: Called with the number of forecasts of the ladder that are done, and of all; None: nothing is called.
@@ -172,20 +177,33 @@ def choose_poses(
         repeated |= np.all(np.abs(gap) < _SAME, axis=1)
     q = pool.q[~repeated]
     request.check(len(q))
+    seen = None
+    if pool.seen is not None:
+        seen = pool.seen[~repeated]
+        if taken_seen is None:
+            taken_seen = np.ones((len(taken), seen.shape[1]), dtype=np.bool_)
+
+    def seen_at(indices: Indices | slice) -> Mask | None:
+        """Return what is seen at the visits of some candidates; None if there is one view."""
+        return None if seen is None else np.repeat(seen[indices], max(len(sides), 1), axis=0)
 
     # What all visits of a pose measure, (n, s d, p).
-    measured = sensitivity.measured(*visits(q, sides)).reshape(len(q), -1, len(sensitivity.names))
-    workspace = Workspace.of(sensitivity, pool.workspace, pool.measurable)
+    measured = sensitivity.measured(*visits(q, sides), seen_at(slice(None)))
+    measured = measured.reshape(len(q), -1, len(sensitivity.names))
+    workspace = Workspace.of(sensitivity, pool.workspace, pool.measurable, pool.seen)
     known = np.diag(sensitivity.precision)
     if len(taken):
-        known += information(sensitivity.measured(taken, taken_moves))
+        known += information(sensitivity.measured(taken, taken_moves, taken_seen))
     weight = _weight(request.criterion, sensitivity, workspace)
     basis = Basis.of(information(measured) / len(measured), known, weight)
     blocks = measured @ basis.directions
     rank = ranking(blocks, basis)
-    fewest = max(1, -(-workspace.rank // blocks.shape[1]) - len(taken))
+    per_pose = blocks.shape[1]
+    if seen is not None:  # at the pose at which most is measured
+        per_pose = int(np.any(measured != 0.0, axis=2).sum(axis=1).max())
+    fewest = max(1, -(-workspace.rank // per_pose) - len(taken))
     if request.count < fewest:
-        numbers = blocks.shape[1] * (request.count + len(taken))
+        numbers = per_pose * (request.count + len(taken))
         before = f" with the {len(taken)} measured already" if len(taken) else ""
         raise ModelError(
             f"{request.count} poses give {numbers} numbers{before}, and the model "
@@ -199,7 +217,10 @@ def choose_poses(
         joints, moves = visits(q[indices], sides)
         joints = np.concatenate([taken, joints])
         moves = np.concatenate([taken_moves, moves])
-        return Forecast.of(sensitivity, workspace, joints, moves)
+        seen_there = seen_at(indices)
+        if seen_there is not None and taken_seen is not None:
+            seen_there = np.concatenate([taken_seen, seen_there])
+        return Forecast.of(sensitivity, workspace, joints, moves, seen_there)
 
     restarts = 1 if request.count > _MANY else RESTARTS
     chosen = choose(blocks, basis, request.count, request.seed, restarts, rank)
@@ -229,14 +250,16 @@ def choose_poses(
     others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
     draws = [rng.choice(len(q), request.count, replace=False) for _ in range(_RANDOM)]
     at_random = sorted(map(forecast, draws), key=lambda drawn: drawn.rms)
+    validation = others[: request.validation]
     return Choice(
         planned=read_only(q[chosen]),
-        validation=read_only(q[others[: request.validation]]),
+        validation=read_only(q[validation]),
         forecast=planned,
         before=forecast(chosen[:0]) if len(taken) else None,
         at_random=at_random[_RANDOM // 2],
         ladder=tuple(ladder),
         workspace=workspace,
+        seen=None if seen is None else seen[[*chosen, *validation]],
     )
 
 

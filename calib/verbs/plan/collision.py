@@ -209,13 +209,23 @@ class CollisionModel:
             robot.urdf, (*solids, Solid("the beam", "box", robot.base, np.eye(4), rod))
         )
 
+        by_owners = _pairs_by_owners(robot.urdf, solids, rigid)
+        every = [pair for pairs in by_owners.values() for pair in pairs]
+
+        # All pairs at once: placing the robot takes longer than comparing the pairs of two owners.
+        number = {pair: k for k, pair in enumerate(every)}
+        touches = {
+            margin: scene.comparing(every, [margin] * len(every)).touched(configurations)
+            for margin in {0.0, check.clearance}
+        }
+
         def touched(pairs: Sequence[Pair], margin: float) -> Mask:
-            """Test which pairs are closer than a margin [m] at the poses spread over the ranges."""
-            return scene.comparing(pairs, [margin] * len(pairs)).touched(configurations)
+            """Return which pairs are closer than a margin [m] at the poses spread over the ranges."""
+            return np.asarray(touches[margin][:, [number[pair] for pair in pairs]])
 
         kept: list[tuple[int, Pair, float]] = []  # at how many poses it touches, shapes, margin
         always_close, always_touching = [], []
-        for owners, pairs in _pairs_by_owners(robot.urdf, solids, rigid).items():
+        for owners, pairs in by_owners.items():
             is_box = solids[pairs[0][1]].kind == "box"
             margin, times = _choose_margin(touched, pairs, check.clearance, is_box=is_box)
             if margin is None:

@@ -13,10 +13,14 @@ from calib.cli.options import CellOptions, Force, Quiet, RobotFile, Seed
 from calib.cli.output_files import check_outputs, written_lines
 from calib.cli.terminal import stages_bar
 from calib.cli.verb import verb
+from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
     from calib.basics.arrays import Array
     from calib.data.cell import Cell
+    from calib.data.cell_chains import Sight
     from calib.instruments.camera import SightLimits
     from calib.robot.robot import Robot
     from calib.verbs.plan.choice import PlanRequest
@@ -113,12 +117,12 @@ class ImageOptions:
     """Images of a printed board, and where camera and board roughly are."""
 
     camera_at: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            metavar=_POSE,
+            metavar=f"[NAME=]{_POSE}",
             help="Approximate pose of the camera in its link, with a rotation vector; z is the line of sight, "
             "and y points "
-            "down in the image. Default: the link is the camera's optical frame.",
+            "down in the image. Of several cameras each by its name. Default: the link is the camera's optical frame.",
         ),
     ] = None
     board_at: Annotated[
@@ -159,9 +163,18 @@ class ImageOptions:
         """
         from calib.basics.arrays import rigid_inverse
 
-        if cell.cameras and self.camera_at is not None:
-            T_link_camera = pose_of(self.camera_at, "--camera-at")
-            cell = replace(cell, T_frame_base=rigid_inverse(T_link_camera), frames={})
+        for given in (self.camera_at or ()) if cell.cameras else ():
+            name, _, pose = given.rpartition("=")
+            T_camera_link = rigid_inverse(pose_of(pose, "--camera-at"))
+            if name:
+                known = choices([*cell.cameras, *cell.bases])
+                if name not in (*cell.cameras, *cell.bases):
+                    raise CalibError(
+                        f"--camera-at {given}: there is no camera '{name}', only {known}."
+                    )
+                cell = replace(cell, frames={**cell.frames, name: T_camera_link})
+            else:
+                cell = replace(cell, T_frame_base=T_camera_link, frames={})
         if cell.cameras and self.board_at is not None:
             T = pose_of(self.board_at, "--board-at")
             cell = replace(cell, target=T[:3, 3], target_rotation=T[:3, :3], targets={})
@@ -226,6 +239,7 @@ Examples:
   calib plan ur3 --base base --tip tool0 --target "70 -70 22.5 mm" -o plan.csv
   calib plan robot.urdf --cell cell.toml --tracker "2500 0 500 mm" -o plan.csv --json plan.json
   calib plan robot.urdf --region region.json --model dh --count 40 -o plan.csv
+  calib plan robot.urdf --tip left=hand_l --tip right=hand_r --frame estimate -o plan.csv
   calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
   calib plan robot.urdf --camera-on tool0 --camera 1280x720 --camera-at "0 60 30 mm"
     --board-on base_link --board board.toml --board-at "500 0 0 mm 180 0 0 deg" -o images.csv
@@ -253,12 +267,11 @@ def plan(
 ) -> None:
     """Load robot and cell, whose boxes are the obstacles, plan the poses, write the files named, and print the plan."""
     from calib.basics.tables import Table
-    from calib.data.cell_chains import refuse_several_chains
     from calib.data.columns import column_names
     from calib.result.calibration_file import write_table
     from calib.verbs.plan.plan import plan as plan_poses, refuse_region
     from calib.verbs.plan.plan_file import next_number, plan_table, read_poses, write_plan
-    from calib.verbs.plan.sensitivity import instrument_of
+    from calib.verbs.plan.sensitivity import views_of
     from calib.verbs.plan.text import plan_text
     from calib.verbs.workspace.region_file import read_region
 
@@ -267,10 +280,15 @@ def plan(
     cell = images.in_cell(cell_options.cell())
     # Without a tip the chain is that of the joints in the table of poses already measured.
     joints = None if poses.taken is None else column_names(Table.read(poses.taken))
-    refuse_several_chains(cell, "calib plan chooses poses")
     arm = load(robot, cell, joints)
     request = poses.request(arm, images.limits())
-    instrument = instrument_of(cell, request.sight)
+    views, _, _ = views_of(arm, cell, request.sight)
+    instrument = views[0].instrument
+    if view is not None and len(views) > 1:
+        raise CalibError(
+            "--view shows a plan for one hand, and this one is for several. Leave it out: 'calib view' shows the table "
+            "once it is measured and fitted."
+        )
     region = None
     if scene.region is not None:
         refuse_region(instrument)
@@ -278,10 +296,11 @@ def plan(
         region = read_region(scene.region, arm, target)
     taken: Array | None = None
     taken_moves: Array | None = None
+    taken_sights: Sequence[Collection[Sight]] | None = None
     first_row = 1
     if poses.taken is not None:
         measured = read_poses(poses.taken, arm, taken=True)
-        taken, taken_moves = measured.joints, measured.moves
+        taken, taken_moves, taken_sights = measured.joints, measured.moves, measured.sights
         first_row = next_number(instrument, measured)
     with stages_bar(quiet=quiet) as progress:
         planned = plan_poses(
@@ -291,6 +310,7 @@ def plan(
             region=region,
             taken=taken,
             taken_moves=taken_moves,
+            taken_sights=taken_sights,
             collisions=scene.check(),
             progress=progress,
         )

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 import calib.data.kinds as registry
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value, keep_read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -52,7 +52,13 @@ class Workspace(NamedTuple):
     rank: int
 
     @classmethod
-    def of(cls, sensitivity: Sensitivity, q: Array, measurable: Array | None = None) -> Workspace:
+    def of(
+        cls,
+        sensitivity: Sensitivity,
+        q: Array,
+        measurable: Array | None = None,
+        seen: Mask | None = None,
+    ) -> Workspace:
         """Differentiate what is measured, and the positions of the targets, at the poses over which accuracy counts.
 
         Args:
@@ -60,10 +66,11 @@ class Workspace(NamedTuple):
             q: Joint values of n poses, shape (n, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
             measurable: n poses at which something is measured, shape (n, m), for an instrument that sees only a
                 part of the workspace; None: those of ``q``.
+            seen: Which views measure at each of these, see `Sensitivity.measured`; None: all.
         """
         if measurable is None:
             measurable = q
-        measured = sensitivity.measured(measurable)
+        measured = sensitivity.measured(measurable, None, seen)
         located = sensitivity.located(q)
         return cls(measured, located, sensitivity.analysed(measurable, measured).rank)
 
@@ -112,7 +119,12 @@ class Forecast(Value):
 
     @classmethod
     def of(
-        cls, sensitivity: Sensitivity, workspace: Workspace, q: Array, moves: Array | None = None
+        cls,
+        sensitivity: Sensitivity,
+        workspace: Workspace,
+        q: Array,
+        moves: Array | None = None,
+        seen: Mask | None = None,
     ) -> Forecast:
         """Forecast the accuracy of a fit of measurements at poses.
 
@@ -124,8 +136,9 @@ class Forecast(Value):
             q: Joint values of the N poses to measure, shape (N, m), [rad] or for sliding joints [m], columns as
                 ``robot.joint_names``.
             moves: Last move of each joint before each pose, shape (N, m); None: from the pose before.
+            seen: Which views measure at each pose, see `Sensitivity.measured`; None: all.
         """
-        measured = sensitivity.measured(q, moves)
+        measured = sensitivity.measured(q, moves, seen)
         root = covariance_root(measured, sensitivity.precision)
         variance, relative, squares = _spreads(workspace, root)
         rms_low, rms_high = _range_of_rms(squares)

@@ -7,7 +7,7 @@ the instrument: a tracker and its targets, or a camera and a board.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,6 +18,7 @@ from calib.basics.arguments import check_callable, check_type
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
+from calib.data.cell_chains import Sight
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.errors import CalibError, ModelError
 from calib.instruments.instrument import Condition, Instrument, Sightline
@@ -31,14 +32,16 @@ from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.notes import Note
 from calib.verbs.plan.pose_candidates import (
     Pool,
+    combined,
     draw,
     draw_towards,
     drawing_of,
+    joined_pools,
     planning_ranges,
     rounded,
 )
 from calib.verbs.plan.route import Blocked, find_route
-from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
+from calib.verbs.plan.sensitivity import Sensitivity, View
 from calib.verbs.workspace.region import Region
 
 #: Called with the stage of the work, how much of it is done, and all of it.
@@ -62,7 +65,7 @@ class Plan(Value):
     robot: Robot
     #: The cell that was planned for.
     cell: Cell
-    #: The instrument that measures the targets.
+    #: The instrument that measures the targets, or the first one of several.
     instrument: Instrument
     #: The request.
     request: PlanRequest
@@ -81,8 +84,8 @@ class Plan(Value):
     targets: tuple[str, ...]
     #: Shape (targets, 4, 4), their poses in the tip [m].
     T_tip_target: Array
-    #: Shape (K, targets, 3), each target (of a board its centre) as the nominal robot predicts it, in the measurement
-    #: frame if that is known, else in the base [m].
+    #: Shape (K, k, 3), each target (of a board its centre) as the nominal robot predicts it, in the measurement frame
+    #: if that is known, else in the base [m]; in the order of ``sights``.
     expected: Array
     #: The parameter set planned for.
     model: str
@@ -109,6 +112,14 @@ class Plan(Value):
     blocked: tuple[Blocked, ...]
     #: Remarks for the person who measures.
     notes: tuple[Note, ...]
+    #: Station and target of each of the k places of ``expected``, by name.
+    sights: tuple[Sight, ...]
+    #: Shape (K, k), whether each of them is to be measured at each pose.
+    seen: Mask
+    #: Shape (T, k), whether each of them was measured at the poses measured already.
+    taken_seen: Mask
+    #: What the instruments measure at a pose.
+    views: tuple[View, ...]
 
     def __repr__(self) -> str:
         """One line: the robot, numbers of poses, expected error."""
@@ -129,9 +140,20 @@ class Plan(Value):
     @property
     def sightline(self) -> Sightline:
         """The instrument and its first target, with the chain between them; the instrument's place must be known."""
-        T_instrument_base = self.instrument.T_instrument_base
-        assert T_instrument_base is not None
-        return Sightline(self.robot, T_instrument_base, self.T_tip_target[0])
+        return self.sightlines[0]
+
+    @property
+    def sightlines(self) -> tuple[Sightline, ...]:
+        """Each instrument and its first target; the instruments' places must be known."""
+        sightlines = []
+        for view in self.views:
+            T_instrument_base = view.instrument.T_instrument_base
+            assert T_instrument_base is not None
+            chain = self.robot.chains[view.chain]
+            sightlines.append(
+                Sightline(chain, T_instrument_base, self.T_tip_target[view.targets[0]])
+            )
+        return tuple(sightlines)
 
     def places(self, q: Array) -> Array:
         """Predict the position of each target in the robot's base, by the nominal robot.
@@ -179,6 +201,7 @@ def plan(
     region: Region | None = None,
     taken: ArrayLike | None = None,
     taken_moves: ArrayLike | None = None,
+    taken_sights: Sequence[Collection[Sight]] | None = None,
     collisions: CollisionCheck | None = _USUAL_CHECK,
     progress: Progress | None = None,
 ) -> Plan:
@@ -186,8 +209,8 @@ def plan(
 
     Args:
         robot: The nominal robot, from the link of the instrument (of a tracker, any link that does not move) to the
-            link of the targets; or the path of a URDF or xacro, or a name such as ``"ur3"``, with the cell's base and
-            tip, or the URDF's root and its farthest link.
+            link of the targets, with a branch for each further pair of such links; or the path of a URDF or xacro, or a
+            name such as ``"ur3"``, with the cell's links, or the URDF's root and its farthest link.
         cell: Cell that the fit will use, model and priors included, and the surroundings: boxes, joint ranges, tracker
             and reflector. With a camera and a board, ``T_frame_base`` is the pose of the camera's link in the camera,
             and ``target`` and ``target_rotation`` are the pose of the board in its link, to a few centimetres and
@@ -199,6 +222,8 @@ def plan(
             columns as ``robot.joint_names``: the plan adds to them; None: none.
         taken_moves: Last move of each joint before each of these, of the same shape, [rad] or [m]; None: from the pose
             before.
+        taken_sights: Stations and targets, by name, that were measured at each of these, in a cell of several; None:
+            all.
         collisions: How poses and moves are checked for collisions of the robot and what it holds with the robot itself,
             the cell's boxes and the mounting plane, and lines of sight; None: they are not checked.
         progress: Called with the stage of the work, ``"candidates"`` or ``"choice"``, how much of it is done, and all
@@ -218,7 +243,19 @@ def plan(
     check_type("region", region, (Region, type(None)), "a Region, or None")
     check_type("collisions", collisions, (CollisionCheck, type(None)), "a CollisionCheck, or None")
     check_callable("progress", progress)
-    instrument = instrument_of(known, request.sight)
+    for name, further in known.robots.items():
+        if further.T_root_base is None:
+            raise CalibError(
+                f"To plan for the robot '{name}' it must be known roughly where it stands: state xyz_mm and rpy_deg of "
+                f"its root in that of the first robot in the table [robots.{name}] of the cell file."
+            )
+    sensitivity = Sensitivity.of(arm, known, limits=request.sight)
+    instrument, views = sensitivity.instrument, sensitivity.views
+    several = len(views) > 1
+    if region is not None and several:
+        raise CalibError(
+            "--region is for the targets of one hand, and there are several: plan for one hand, or without it."
+        )
     if request.candidates is None:
         request = replace(request, candidates=drawing_of(instrument).enough)
     assert request.candidates is not None
@@ -230,28 +267,53 @@ def plan(
         measured_moves = arm.columns(taken_moves, "taken_moves")
         if measured_moves.shape != measured.shape:
             raise ModelError("The argument 'taken_moves' must have one row for each of 'taken'.")
-    visited = instrument.stops(np.hstack([measured, measured_moves]))
-    measured, measured_moves = map(read_only, np.hsplit(visited, 2))
+    taken_seen = _seen_already(sensitivity, len(measured), taken_sights)
+    if several and instrument.VIEWPOINT_NUMBERS:
+        # A table of corners has many rows for an image.
+        stops_of_table = np.hstack([measured, measured_moves])
+        _, first, same = np.unique(stops_of_table, axis=0, return_index=True, return_inverse=True)
+        union = np.zeros((len(first), len(views)), dtype=np.bool_)
+        np.logical_or.at(union, same.reshape(-1), taken_seen)
+        order = np.argsort(first)
+        measured, measured_moves = measured[first[order]], measured_moves[first[order]]
+        taken_seen = union[order]
+    elif not several:
+        visited = instrument.stops(np.hstack([measured, measured_moves]))
+        measured, measured_moves = np.hsplit(visited, 2)
+        taken_seen = np.ones((len(measured), 1), dtype=np.bool_)
+    measured, measured_moves = read_only(measured), read_only(measured_moves)
 
-    sensitivity = Sensitivity.of(arm, known, instrument)
     body = None
     if collisions is not None:
         body = collision_model(instrument, sensitivity, collisions)
     ranges = planning_ranges(arm, known.ranges, request.margin)
     sides = approaches(arm, ranges, request.approach)
     ranges = with_room(ranges, sides)
-    conditions = [*_conditions(sensitivity, region, body, sides)]
-    draws = (ranges, conditions, request.candidates, request.seed, _stage(progress, "candidates"))
-    if instrument.VIEWPOINT_NUMBERS:
-        pool = draw_towards(instrument, sensitivity.sightlines[0], *draws)
-    else:
-        pool = draw(arm, *draws)
+    pools = []
+    free = [*_body_conditions(body, sides)]
+    conditions = [[*_sight_conditions(sensitivity, view, body)] for view in views]
+    for v, (view, of_view) in enumerate(zip(views, conditions, strict=True)):
+        wanted = -(-request.candidates // len(views))
+        every = [*_region_condition(sensitivity, region), *of_view, *free]
+        draws = (ranges, every, wanted, request.seed + v, _stage(progress, "candidates"))
+        if view.instrument.VIEWPOINT_NUMBERS:
+            (sightline,) = sensitivity.sightlines_of(view)
+            pools.append(draw_towards(view.instrument, sightline, *draws))
+        else:
+            pools.append(draw(arm, *draws))
+    pool = pools[0]
+    if several:
+        both = pool.q[:0]
+        if instrument.VIEWPOINT_NUMBERS:  # at random poses a second camera or board is rarely seen
+            both = combined([arm.chains[view.chain] for view in views], pools, ranges)
+        pool = joined_pools(arm, ranges, pools, conditions, both, free)
     choice = choose_poses(
         sensitivity,
         pool,
         request,
         measured,
         taken_moves=measured_moves,
+        taken_seen=taken_seen if several else None,
         sides=sides,
         progress=_stage(progress, "choice"),
     )
@@ -272,10 +334,15 @@ def plan(
     is_fitted = route.order < len(choice.planned)
     fitted = np.concatenate([measured, route.joints[is_fitted]])
     fitted_moves = np.concatenate([measured_moves, route.moves[is_fitted]])
+    seen = np.ones((len(route.order), 1), dtype=np.bool_)
+    fitted_seen = None
+    if choice.seen is not None:
+        seen = choice.seen[route.order]
+        fitted_seen = np.concatenate([taken_seen, seen[is_fitted]])
     forecast = choice.forecast
     if sensitivity.kinematics.model.depends_on_moves:  # now that the order is known
-        forecast = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves)
-    notes = _scale_notes(sensitivity, pool, fitted, forecast.rms)
+        forecast = Forecast.of(sensitivity, choice.workspace, fitted, fitted_moves, fitted_seen)
+    notes = _scale_notes(sensitivity, pool, fitted, fitted_seen, forecast.rms)
     notes += sensitivity.notes
     if request.approach == "one" and sensitivity.kinematics.model.depends_on_moves:
         notes.append(Note("one_side_hides"))
@@ -307,7 +374,30 @@ def plan(
         travel=route.travel,
         blocked=route.blocked,
         notes=tuple(notes),
+        sights=sensitivity.sights,
+        seen=sensitivity.of_sights(seen),
+        taken_seen=sensitivity.of_sights(taken_seen),
+        views=views,
     )
+
+
+def _seen_already(
+    sensitivity: Sensitivity, count: int, sights: Sequence[Collection[Sight]] | None
+) -> Mask:
+    """Return which views measured at the poses that are measured already, by their stations and targets, (T, v).
+
+    It raises `ModelError` if there are more or fewer of these than the ``count`` poses.
+    """
+    of_views = []
+    for view in sensitivity.views:
+        group = sensitivity.setup.groups[view.frame]
+        of_views.append({(group, sensitivity.setup.targets[t]) for t in view.targets})
+    if sights is None:
+        return np.ones((count, len(of_views)), dtype=np.bool_)
+    if len(sights) != count:
+        raise ModelError("The argument 'taken_sights' must have one entry for each of 'taken'.")
+    seen = [[bool(of_view & set(at_pose)) for of_view in of_views] for at_pose in sights]
+    return np.array(seen, dtype=np.bool_).reshape(count, len(of_views))
 
 
 def refuse_region(instrument: Instrument) -> None:
@@ -321,13 +411,10 @@ def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] 
     return None if progress is None else partial(progress, stage)
 
 
-def _conditions(
-    sensitivity: Sensitivity, region: Region | None, body: CollisionModel | None, sides: Array
-) -> Iterator[Condition]:
-    """Yield the conditions of a candidate, the cheap ones first: region, instrument, lines of sight, collisions.
+def _region_condition(sensitivity: Sensitivity, region: Region | None) -> Iterator[Condition]:
+    """Yield the condition that the first target is in a region; nothing without one (None).
 
-    Without a region or a body (None) its conditions are left out. A region with an instrument that cannot have one
-    raises `CalibError`.
+    A region with an instrument that cannot have one raises `CalibError`.
     """
     if region is not None:
         refuse_region(sensitivity.instrument)
@@ -335,10 +422,21 @@ def _conditions(
         yield Condition(
             "region", lambda q: region.contains((robot.poses(q) @ T_tip_target)[:, :3, 3])
         )
-    yield from sensitivity.instrument.sees(sensitivity.sightlines)
+
+
+def _sight_conditions(
+    sensitivity: Sensitivity, view: View, body: CollisionModel | None
+) -> Iterator[Condition]:
+    """Yield the conditions under which a view measures, the cheap ones first: instrument, then lines of sight."""
+    yield from view.instrument.sees(sensitivity.sightlines_of(view))
     if body is not None:
         # A line of sight is one rod against all links; links among themselves take ten times as long.
-        yield from free_lines_of_sight(sensitivity, body)
+        yield from free_lines_of_sight(sensitivity, body, view)
+
+
+def _body_conditions(body: CollisionModel | None, sides: Array) -> Iterator[Condition]:
+    """Yield the conditions that poses, and the ways to them from all sides, are free of collision."""
+    if body is not None:
         yield Condition("collision", body.free)
         if len(sides):
             yield Condition("approach", partial(_approach_free, body, sides))
@@ -353,18 +451,21 @@ def _approach_free(body: CollisionModel, sides: Array, q: Array) -> Mask:
     return np.asarray(np.all([body.free(way) for way in ways], axis=0))
 
 
-def _scale_notes(sensitivity: Sensitivity, pool: Pool, q: Array, rms: float) -> list[Note]:
+def _scale_notes(
+    sensitivity: Sensitivity, pool: Pool, q: Array, seen: Mask | None, rms: float
+) -> list[Note]:
     """Return the remark that the unknown scale of a print makes most of the forecast error, if it does, else nothing.
 
-    The fit is of poses (n, m), whose forecast error is ``rms`` [m]; it is compared with that of an exact scale.
+    The fit is of poses (n, m) where some views, (n, v), or all (None) measure, whose forecast error is ``rms`` [m]; it
+    is compared with that of an exact scale.
     """
     is_scale = np.array([name.startswith("board_scale") for name in sensitivity.names])
     if not is_scale.any():
         return []
     precision = np.where(is_scale, 1e6 * sensitivity.precision, sensitivity.precision)
     exact = replace(sensitivity, precision=read_only(precision))
-    workspace = Workspace.of(exact, pool.workspace, pool.measurable)
-    rms_if_exact = Forecast.of(exact, workspace, q).rms
+    workspace = Workspace.of(exact, pool.workspace, pool.measurable, pool.seen)
+    rms_if_exact = Forecast.of(exact, workspace, q, seen=seen).rms
     if rms_if_exact > _MATTERS * rms:
         return []
     (sigma, *_) = [

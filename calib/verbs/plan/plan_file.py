@@ -25,6 +25,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
 from calib.basics.tables import Column, Table
 from calib.basics.units import Quantity
+from calib.data.cell_chains import Sight
 from calib.data.columns import DEFAULT_TARGET, EXPECTED, POINT, VIA, name_columns
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
@@ -109,17 +110,23 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
     # There are no expected orientations.
     expected = [*range(len(lengths)), *range(kind.size - len(readings), kind.size)]
     T_frame_target = np.eye(4)
+    is_named = plan.targets != (DEFAULT_TARGET,)
+    has_groups = any(group for group, _ in plan.sights)
     for k, (q, set_name, places) in enumerate(
         zip(plan.joints, plan.sets, plan.expected, strict=True)
     ):
         if plan.via is not None:
             yield {"row": str(number), "set": VIA, **_joint_cells(plan.robot, plan.via[k])}
             number += 1
-        for target, place in zip(plan.targets, places, strict=True):
+        for (group, target), place in compress(
+            zip(plan.sights, places, strict=True), plan.seen[k].tolist()
+        ):
             row = {"row": str(number), "set": set_name, "point": f"P{number}"}
             if plan.via is not None:
                 row["approach"] = side_name(plan.moves[k])
-            if plan.targets != (DEFAULT_TARGET,):
+            if has_groups:
+                row["group"] = group
+            if is_named:
                 row["target"] = target
             row |= _joint_cells(plan.robot, q)
             row |= dict.fromkeys(empty, "")
@@ -137,9 +144,11 @@ def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[st
 
     There are no row numbers, because a table of corners has many rows of an image.
     """
-    distances, tilts = distances_and_tilts(instrument, plan)
+    del instrument
+    distances, tilts = _of_all_boards(plan)
     # Columns run from the foot of the robot to its hand, even if the chain leads the other way.
-    backwards = plan.robot.base_moves
+    backwards = plan.robot.base_moves and not plan.robot.branches
+    has_groups = any(group for group, _ in plan.sights)
 
     def joint_cells(q: Array) -> dict[str, str]:
         """Return the texts of joint values (m,) by the headers of their columns."""
@@ -149,22 +158,62 @@ def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[st
     for k, q in enumerate(plan.joints):
         if plan.via is not None:
             yield {"set": VIA, **joint_cells(plan.via[k])}
-        row = {"set": plan.sets[k], "image": image_name(number + k), **joint_cells(q)}
-        row[f"{EXPECTED}distance [mm]"] = f"{1e3 * distances[k]:.1f}"
-        row[f"{EXPECTED}tilt [deg]"] = f"{math.degrees(tilts[k]):.1f}"
-        yield row
+        seen = np.flatnonzero(plan.seen[k]).tolist()
+        for group in dict.fromkeys(plan.sights[s][0] for s in seen):
+            boards = [s for s in seen if plan.sights[s][0] == group]
+            row = {"set": plan.sets[k], "image": image_name(number + k, group)}
+            if has_groups:
+                row["group"] = group
+            row |= joint_cells(q)
+            if plan.targets != (DEFAULT_TARGET,):
+                row[f"{EXPECTED}target"] = "/".join(plan.sights[s][1] for s in boards)
+            far = [f"{1e3 * distances[k, s]:.1f}" for s in boards]
+            slanted = [f"{math.degrees(tilts[k, s]):.1f}" for s in boards]
+            row[f"{EXPECTED}distance [mm]"] = "/".join(far)
+            row[f"{EXPECTED}tilt [deg]"] = "/".join(slanted)
+            yield row
 
 
-def image_name(number: int) -> str:
-    """Return the file name of an image by its number."""
-    return f"image_{number:03d}.png"
+def image_name(number: int, group: str = "") -> str:
+    """Return the file name of an image by its number, and by the station of its camera if that has a name."""
+    return f"{group or 'image'}_{number:03d}.png"
 
 
-def distances_and_tilts(instrument: CameraInstrument, plan: Plan) -> tuple[Array, Array]:
-    """Return the expected distances (K,) [m] and tilts (K,) [rad] of the board at the poses of a plan."""
-    T_camera_board = plan.sightline.target_poses(plan.joints)
+def first_rows(plan: Plan, number: int) -> list[int]:
+    """Return the numbers of the first rows of a plan's poses, the row to come from if there is one.
+
+    Args:
+        plan: The plan of a tracker.
+        number: Number of the first row of all.
+    """
+    before = 0 if plan.via is None else 1
+    counts = before + plan.seen.sum(axis=1)
+    return [int(first) for first in number + np.cumsum(counts) - counts]
+
+
+def distances_and_tilts(
+    instrument: CameraInstrument, plan: Plan, sight: int = 0
+) -> tuple[Array, Array]:
+    """Return the expected distances (K,) [m] and tilts (K,) [rad] of a board at the poses of a plan, seen or not.
+
+    Args:
+        instrument: The camera.
+        plan: The plan.
+        sight: Index of the camera and the board in ``plan.sights``.
+    """
+    T_camera_board = plan.sightlines[sight].target_poses(plan.joints)
     tilts = board_tilts(instrument.board, T_camera_board)
     return instrument.board_distances(T_camera_board), tilts
+
+
+def _of_all_boards(plan: Plan) -> tuple[Array, Array]:
+    """Return the expected distances [m] and tilts [rad] at the poses of a plan of images, for each sight, (K, k)."""
+    columns = []
+    for k, view in enumerate(plan.views):
+        assert isinstance(view.instrument, CameraInstrument)
+        columns.append(distances_and_tilts(view.instrument, plan, k))
+    distances, tilts = (np.stack(values, axis=1) for values in zip(*columns, strict=True))
+    return distances, tilts
 
 
 def _header(name: str, quantity: Quantity) -> str:
@@ -205,6 +254,8 @@ class Poses(NamedTuple):
     last_image: int
     #: Shape (N, m), last move of each joint before each pose [rad] or [m]; None: from the pose before in ``joints``.
     moves: Array | None
+    #: Station and target of each row at each pose.
+    sights: tuple[frozenset[Sight], ...] = ()
 
 
 def read_poses(
@@ -231,7 +282,8 @@ def read_poses(
     table = Table.read(path)
     # A row of the kind ``fixed`` has its joint values alone.
     layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
-    rows = Measurements(**read_values(table, layout, as_measured=True))
+    values = read_values(table, layout, as_measured=True, needs_all_joints=not robot.branches)
+    rows = Measurements(**values)
     named, _ = name_columns(table, robot.joint_names, {})
     numbers = [*range(1, len(table.cells) + 1)]
     if "row" in named:
@@ -243,15 +295,16 @@ def read_poses(
         chosen = rows.estimation & (measured | (not measured.any()))
         if not chosen.any():
             raise MeasurementError(f"{table.source}: no row that is measured is 'estimate'.")
-    # Rows with the same joint values are one pose if their targets differ; if a target occurs again, the pose is
-    # repeated, which counts as another one.
-    repeats: Counter[tuple[bytes, str]] = Counter()
-    first_rows: dict[tuple[bytes, int], int] = {}
+    # Rows with the same joint values are one pose if their targets differ, or of several chains their stations; if a
+    # target occurs again, the pose is repeated, which counts as another one.
+    repeats: Counter[tuple[bytes, str, str]] = Counter()
+    rows_of_poses: dict[tuple[bytes, int], list[int]] = {}
     for i in np.flatnonzero(chosen).tolist():
         pose, target = rows.joints[i].tobytes(), rows.targets[i]
-        first_rows.setdefault((pose, repeats[pose, target]), i)
-        repeats[pose, target] += 1
-    first = [*first_rows.values()]
+        key = pose, target, rows.groups[i] if robot.branches else ""
+        rows_of_poses.setdefault((pose, repeats[key]), []).append(i)
+        repeats[key] += 1
+    first = [of_pose[0] for of_pose in rows_of_poses.values()]
     names = table.column(named["image"]) if "image" in named else []
     of_images = [_NUMBER.findall(Path(name).stem) for name in names]
     joints, moves = rows.joints[first], rows.moves_for(robot.joint_names)[first]
@@ -262,6 +315,10 @@ def read_poses(
         last_row=max(numbers),
         last_image=max((int(digits[-1]) for digits in of_images if digits), default=0),
         moves=None if is_as_before else read_only(moves),
+        sights=tuple(
+            frozenset((rows.groups[i], rows.targets[i]) for i in of_pose)
+            for of_pose in rows_of_poses.values()
+        ),
     )
 
 
@@ -306,7 +363,10 @@ def plan_table(plan: Plan) -> dict[str, Any]:
         joints.append({"name": name, "unit": "m" if joint_type == "prismatic" else "rad"})
     poses = []
     for k, (set_name, q) in enumerate(zip(plan.sets, plan.joints, strict=True)):
-        poses.append({"set": set_name, "joints": q, "expected_xyz_m": plan.expected[k]})
+        expected = plan.expected[k]
+        poses.append(
+            {"set": set_name, "joints": q, "expected_xyz_m": expected, "seen": plan.seen[k]}
+        )
     if plan.via is not None:
         for pose, via in zip(poses, plan.via, strict=True):
             pose["via"] = via
@@ -323,6 +383,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "urdf_sha256": robot.urdf.sha256,
             "base": robot.base,
             "tip": robot.tip,
+            "chains": [{"base": chain.base, "tip": chain.tip} for chain in robot.chains],
             "joints": joints,
             "coupling": coupling_table(robot.reading_coupling),
         },
@@ -332,6 +393,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "model": plan.model,
             "kind": plan.kind,
             "targets": plan.targets,
+            "sights": [{"group": group, "target": target} for group, target in plan.sights],
             "seed": request.seed,
             "taken": len(plan.taken),
         },
@@ -353,9 +415,10 @@ def _further_keys(_instrument: Instrument, _plan: Plan) -> dict[str, Any]:
 
 
 @_further_keys.register
-def _(instrument: CameraInstrument, plan: Plan) -> dict[str, Any]:
-    """Return the tilts of the board."""
-    return {"tilt_rad": distances_and_tilts(instrument, plan)[1].tolist()}
+def _(_instrument: CameraInstrument, plan: Plan) -> dict[str, Any]:
+    """Return the tilts of the board, or of each of several."""
+    _, tilts = _of_all_boards(plan)
+    return {"tilt_rad": (tilts if len(plan.sights) > 1 else tilts[:, 0]).tolist()}
 
 
 def forecast_table(forecast: Forecast) -> dict[str, Any]:

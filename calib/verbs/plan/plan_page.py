@@ -192,8 +192,9 @@ def _numbers(_instrument: Instrument, plan: Plan, first_row: int) -> dict[str, t
 def _(instrument: CameraInstrument, plan: Plan, first_row: int) -> dict[str, tuple[str, ...]]:
     """Return texts for each pose, by their labels: the name of the image, and distance and tilt of the board."""
     distances, tilts = distances_and_tilts(instrument, plan)
+    group, _ = plan.sights[0]
     return {
-        "image": tuple(image_name(first_row + k) for k in range(len(plan.joints))),
+        "image": tuple(image_name(first_row + k, group) for k in range(len(plan.joints))),
         "distance of the board": tuple(f"{1e3 * value:.0f} mm" for value in distances),
         "tilt of the board": tuple(f"{value:.1f} deg" for value in np.degrees(tilts)),
     }

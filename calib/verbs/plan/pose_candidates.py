@@ -11,12 +11,12 @@ one that was wanted.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, Mask, read_only, rigid_inverse
 from calib.basics.jobs import Progress
 from calib.basics.units import UNITS
 from calib.errors import ModelError
@@ -84,6 +84,8 @@ class Pool(NamedTuple):
     drawn: int
     #: Number of poses that each condition refused, of those that had passed the conditions before it.
     refused: dict[str, int]
+    #: Shape (n, v), which of the v views of a cell measure at each candidate; None: all, as there is one.
+    seen: Mask | None = None
 
 
 def drawing_of(instrument: Instrument) -> Drawing:
@@ -162,6 +164,103 @@ def draw_towards(
     pool = _collect(batches, [within, *conditions], TOWARDS_VIEWPOINTS, count, progress)
     workspace = robot.readings(spread_between(ranges, len(pool.q)))
     return pool._replace(workspace=read_only(workspace), measurable=pool.q)
+
+
+def combined(chains: Sequence[Robot], pools: Sequence[Pool], ranges: Array) -> Array:
+    """Return poses at which two views may measure at once, made of a candidate of each, shape (n, m), [rad] or [m].
+
+    The joints that both chains share stay as in the candidate of the first view. Those that the second chain alone has
+    bring its target to where it is, before its instrument, in the candidate of the second view whose shared joints are
+    nearest: one arm to the board of the other arm's candidate, before a camera on the head as it stands there.
+
+    Args:
+        chains: The chain of each view, with the same m columns of q.
+        pools: The candidates of each view.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
+    """
+    moved = [np.any(chain.mimic_matrix @ chain.reading_matrix, axis=0) for chain in chains]
+    poses = [pools[0].q[:0]]
+    for v, w in combinations(range(len(pools)), 2):
+        own, shared = moved[w] & ~moved[v], moved[w] & moved[v]
+        if not own.any():
+            continue
+        q, other = pools[v].q.copy(), pools[w].q
+        if shared.any():
+            away = np.abs(q[:, None, shared] - other[None, :, shared]).max(axis=2)
+            other = other[np.argmin(away, axis=1)]
+        else:
+            other = other[np.arange(len(q)) % len(other)]
+        q[:, own] = other[:, own]
+        joint_is_own = np.any(chains[w].mimic_matrix[:, own], axis=1)
+        first = int(np.argmax(joint_is_own))
+        if first > 0 and joint_is_own[first:].all():  # its own joints carry the target
+            root = chains[w].joints[first].parent
+            limb, before = chains[w].rebuilt(base=root), chains[w].rebuilt(tip=root)
+            of_limb = [chains[w].joint_names.index(name) for name in limb.joint_names]
+            of_before = [chains[w].joint_names.index(name) for name in before.joint_names]
+            T_root_base = rigid_inverse(before.poses(q[:, of_before]))
+            T_root_tip = T_root_base @ chains[w].poses(other)
+            found = reach(limb, ranges[of_limb], T_root_tip, q[:, of_limb])
+            q[:, of_limb] = _turned_inside(limb, found, ranges[of_limb])
+            values = chains[w].input_values(q)
+            q = q[np.all((values >= ranges[:, 0]) & (values <= ranges[:, 1]), axis=1)]
+        poses.append(q)
+    return np.concatenate(poses)
+
+
+def _turned_inside(robot: Robot, q: Array, ranges: Array) -> Array:
+    """Return rounded readings (n, m) with joints that turn moved by whole turns into ranges (m, 2), if they can be."""
+    slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
+    values = robot.input_values(q)
+    inside = values - _TURN * np.round((values - ranges.mean(axis=1)) / _TURN)
+    return rounded(robot, robot.readings(np.where(slides, values, inside)))
+
+
+def joined_pools(
+    robot: Robot,
+    ranges: Array,
+    pools: Sequence[Pool],
+    conditions: Sequence[Sequence[Condition]],
+    further: Array,
+    free: Sequence[Condition],
+) -> Pool:
+    """Join the candidates that were drawn for each of several views of a cell, and test what all views see at them.
+
+    Args:
+        robot: The robot, with m measured joints.
+        ranges: Lowest and highest value of each joint, shape (m, 2), [rad] or for sliding joints [m].
+        pools: The candidates of each view.
+        conditions: The conditions under which each view measures.
+        further: Poses that are candidates if they pass further conditions and any view measures there, shape (n, m).
+        free: These conditions, which the candidates of the pools have passed.
+
+    Returns:
+        The different candidates, with what is seen. The workspace are as many poses spread over the joints' ranges.
+    """
+    for condition in free:
+        further = further[condition.passes(further)] if len(further) else further
+    candidates = np.concatenate([*(pool.q for pool in pools), further])
+    _, once = np.unique(candidates, axis=0, return_index=True)
+    q = candidates[np.sort(once)]
+    seen = np.ones((len(q), len(pools)), dtype=np.bool_)
+    for v, of_view in enumerate(conditions):
+        for condition in of_view:
+            still = np.flatnonzero(seen[:, v])
+            if len(still):
+                seen[still, v] = condition.passes(q[still])
+    q, seen = q[seen.any(axis=1)], seen[seen.any(axis=1)]
+    refused: dict[str, int] = {}
+    for pool in pools:
+        for reason, number in pool.refused.items():
+            refused[reason] = refused.get(reason, 0) + number
+    return Pool(
+        q=read_only(q),
+        workspace=read_only(robot.readings(spread_between(ranges, len(q)))),
+        measurable=read_only(q),
+        drawn=sum(pool.drawn for pool in pools),
+        refused=refused,
+        seen=seen,
+    )
 
 
 def _collect(
@@ -247,7 +346,6 @@ def _batches_near_viewpoints(
     from scipy.stats import qmc
 
     robot = sightline.robot
-    slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     sequence = qmc.Sobol(instrument.VIEWPOINT_NUMBERS, scramble=True, seed=seed)
     starts = robot.readings(spread_between(ranges, _STARTS))
     views = _coordinates(sightline.target_poses(starts))
@@ -261,10 +359,7 @@ def _batches_near_viewpoints(
         near = np.argsort(distance)[: TOWARDS_VIEWPOINTS.batch]
         T_base_tip = sightline.tip_poses(T_instrument_target[near])
         q = reach(robot, ranges, T_base_tip, starts[start[near]])
-        # Revolute joints are moved by whole turns into their ranges, if possible.
-        values = robot.input_values(q)
-        inside = values - _TURN * np.round((values - ranges.mean(axis=1)) / _TURN)
-        yield rounded(robot, robot.readings(np.where(slides, values, inside)))
+        yield _turned_inside(robot, q, ranges)
 
 
 def reach(robot: Robot, ranges: Array, T_base_tip: Array, start: Array) -> Array:

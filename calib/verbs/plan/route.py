@@ -263,7 +263,12 @@ def _turning_joints(robot: Robot, limits: Array) -> Mask:
     Joints that others follow, or whose readings are coupled, are not among them.
     """
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
-    is_alone = np.sum(robot.mimic_matrix != 0.0, axis=0) <= 1
+    followers = {
+        joint.name: row != 0.0
+        for chain in robot.chains
+        for joint, row in zip(chain.joints, chain.mimic_matrix, strict=True)
+    }
+    is_alone = np.sum([*followers.values()], axis=0) <= 1
     has_factors = robot.reading_matrix != np.eye(len(slides))
     is_coupled = has_factors.any(axis=0) | has_factors.any(axis=1)
     return np.asarray(~slides & is_alone & ~is_coupled & (np.ptp(limits, axis=1) > _TURN))

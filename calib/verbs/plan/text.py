@@ -20,7 +20,7 @@ from calib.show.robot_sentences import coupling_sentence
 from calib.show.tables import Column, labelled, name_column, table_lines
 from calib.show.words import chain_name
 from calib.verbs.plan.plan import Plan
-from calib.verbs.plan.plan_file import distances_and_tilts, image_name
+from calib.verbs.plan.plan_file import distances_and_tilts, first_rows, image_name
 
 if TYPE_CHECKING:
     from calib.verbs.plan.forecast import Forecast
@@ -93,14 +93,16 @@ def plan_text(plan: Plan, first_row: int = 1) -> str:
     # Moves by the rows of the table, or by images, each with a pose to move through if one was found.
     # Each pose has a row for each target, after that of the pose to come from.
     before = 0 if plan.via is None else 1
-    rows = before + len(plan.targets)
+    rows = first_rows(plan, first_row)
     moves = []
     for blocked in plan.blocked:
-        start = f"row {first_row + rows * (blocked.start - 1) + before}"
-        end = f"row {first_row + rows * (blocked.end - 1)}"
+        start = f"row {rows[blocked.start - 1] + before}"
+        end = f"row {rows[blocked.end - 1]}"
         if isinstance(plan.instrument, CameraInstrument):
-            start = image_name(first_row + blocked.start - 1)
-            end = image_name(first_row + blocked.end - 1)
+            start, end = (
+                image_name(first_row + pose - 1, _first_station(plan, pose - 1))
+                for pose in (blocked.start, blocked.end)
+            )
         move = f"{start if blocked.start else 'the start'} to {end}"
         if blocked.by is not None:
             values = []
@@ -116,6 +118,11 @@ def plan_text(plan: Plan, first_row: int = 1) -> str:
     if any(blocked.by is None for blocked in plan.blocked):
         notes.append("Insert an intermediate pose between the rows for which no detour is given.")
     return paragraphs(_head(plan), _forecasts(plan), [f"Note: {note}" for note in notes])
+
+
+def _first_station(plan: Plan, pose: int) -> str:
+    """Return the name of the first station that measures at a pose, by its index."""
+    return plan.sights[int(np.argmax(plan.seen[pose]))][0]
 
 
 def note_text(note: Note) -> str:
@@ -178,10 +185,24 @@ def _what_is_planned(_instrument: Instrument, plan: Plan) -> str:
     """Word the robot, its chain, the numbers of poses and the targets."""
     robot, count = plan.robot, plan.request.count
     taken = f" in addition to {len(plan.taken)} measured ones" if len(plan.taken) else ""
+    chains = " and ".join(f"{chain.base} to {chain.tip}" for chain in robot.chains)
+    at_each = f"targets at each: {', '.join(plan.targets)}"
+    if not plan.seen.all():
+        at_each = f"targets: {_counts(plan)}"
     return (
-        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}: {count} poses for "
-        f"calibration{taken}, {plan.request.validation} for validation; targets at each: {', '.join(plan.targets)}."
+        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {chains}: {count} poses for "
+        f"calibration{taken}, {plan.request.validation} for validation; {at_each}."
     )
+
+
+def _counts(plan: Plan) -> str:
+    """Word at how many poses each target is measured, by each of several stations."""
+    several = len({group for group, _ in plan.sights}) > 1
+    parts = []
+    for (group, target), seen in zip(plan.sights, plan.seen.T, strict=True):
+        by = f" by {group}" if several else ""
+        parts.append(f"{target}{by} at {plural(int(seen.sum()), 'pose')}")
+    return ", ".join(parts)
 
 
 @_what_is_planned.register
@@ -189,9 +210,14 @@ def _(_instrument: CameraInstrument, plan: Plan) -> str:
     """Word the robot, the links of camera and board, and the numbers of images."""
     robot, count = plan.robot, plan.request.count
     taken = f" in addition to {len(plan.taken)} taken already" if len(plan.taken) else ""
+    cameras = " and ".join(dict.fromkeys(chain.base for chain in robot.chains))
+    boards = " and ".join(dict.fromkeys(chain.tip for chain in robot.chains))
+    what, each = "images", ""
+    if len(plan.views) > 1:
+        what, each = "poses", f"; boards seen: {_counts(plan)}"
     return (
-        f"Plan for '{robot.name}' ({robot.urdf.source}), camera on {robot.base}, board on {robot.tip}: {count} images "
-        f"for calibration{taken}, {plan.request.validation} for validation."
+        f"Plan for '{robot.name}' ({robot.urdf.source}), camera on {cameras}, board on {boards}: {count} {what} "
+        f"for calibration{taken}, {plan.request.validation} for validation{each}."
     )
 
 
@@ -202,14 +228,30 @@ def _facts(_instrument: Instrument, _plan: Plan) -> Iterator[tuple[str, str]]:
 
 
 @_facts.register
-def _(instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
-    """Yield label and text of the board's distances and tilts, and how much of the image its corners cover."""
-    distances, tilts = distances_and_tilts(instrument, plan)
-    least, most, half = np.degrees([tilts.min(), tilts.max(), np.median(tilts)])
-    covered = instrument.coverage(plan.sightline.target_poses(plan.joints))
-    yield "distance", f"{1e3 * distances.min():.0f} to {1e3 * distances.max():.0f} mm"
-    yield "tilt", f"{least:.0f} to {most:.0f} deg, half of the images above {half:.0f} deg"
-    yield "image", f"corners in {100.0 * covered:.0f} % of its area"
+def _(_instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
+    """Yield label and text of the board's distances and tilts, and how much of the image its corners cover.
+
+    Of several cameras and boards each pair has its own.
+    """
+    for k, (view, sightline) in enumerate(zip(plan.views, plan.sightlines, strict=True)):
+        assert isinstance(view.instrument, CameraInstrument)
+        seen = plan.seen[:, k]
+        if not seen.any():
+            continue
+        distances, tilts = (
+            values[seen] for values in distances_and_tilts(view.instrument, plan, k)
+        )
+        least, most, half = np.degrees([tilts.min(), tilts.max(), np.median(tilts)])
+        covered = view.instrument.coverage(sightline.target_poses(plan.joints[seen]))
+        if len(plan.views) > 1:
+            group, target = plan.sights[k]
+            yield (
+                "board",
+                f"{target}, seen by {group or 'the camera'} in {plural(int(seen.sum()), 'image')}",
+            )
+        yield "distance", f"{1e3 * distances.min():.0f} to {1e3 * distances.max():.0f} mm"
+        yield "tilt", f"{least:.0f} to {most:.0f} deg, half of the images above {half:.0f} deg"
+        yield "image", f"corners in {100.0 * covered:.0f} % of its area"
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:

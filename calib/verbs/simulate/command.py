@@ -50,6 +50,7 @@ Examples:
   calib simulate robot.urdf --poses plan.csv --seed 2 -o table.csv --truth truth.json
   calib simulate robot.urdf --count 50 --validation 20 --frame estimate -o table.csv
   calib simulate robot.urdf --error "elbow_joint.rx=2 mrad" --noise none -o table.csv
+  calib simulate robot.urdf --tip left=hand_l --tip right=hand_r --frame estimate -o hands.csv
   calib simulate ur5 --kind pixel --camera-on tool0 --board-on base_link --images pictures -o corners.csv
 
 It writes a table for calib calibrate, and next to it the truth: the robot's errors, targets, frames, and what was
@@ -89,10 +90,9 @@ def simulate(
 
     It raises `CalibError` if neither a table nor a folder of pictures is named, or a file may not be written.
     """
-    from calib.data.cell_chains import refuse_several_chains
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.picture_files import write_pictures
-    from calib.verbs.simulate.scenario import simulate as simulate_rows
+    from calib.verbs.simulate.scenario import simulate as simulate_rows, with_robots_placed
     from calib.verbs.simulate.scenario_words import read_scenario
     from calib.verbs.simulate.text import simulated_text
     from calib.verbs.simulate.truth_file import write_truth
@@ -110,8 +110,7 @@ def simulate(
         files = [path for path in files if path is None or path.parent != images]
     inputs = [robot, poses.poses, cell_options.file, errors.truth_robot]
     check_outputs(files, inputs, force=force)
-    cell = cell_options.cell()
-    refuse_several_chains(cell, "calib simulate makes rows")
+    cell = with_robots_placed(cell_options.cell())
     arm = load(robot, cell)
     scenario = read_scenario(arm, cell, cell_options.file, errors)
     if images is not None and not scenario.kind.is_image:

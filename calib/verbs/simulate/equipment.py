@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from calib.boards.printed import Print, draw_print
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
-from calib.errors import CalibError, choices
 from calib.robot.robot import Robot
 from calib.verbs.simulate.mounting import reach
 from calib.verbs.simulate.random_streams import stream
@@ -43,48 +41,67 @@ _DRAWS = 100
 _ANGLES = 400
 _WIDEST = float(np.deg2rad(85.0))
 
-Described = TypeVar("Described", Camera, Board)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equipment(Value):
-    """The true camera and board of a virtual cell."""
+    """The true cameras and boards of a virtual cell."""
 
-    #: The camera as stated.
-    stated: Camera
-    #: The camera with its true numbers.
-    camera: Camera
-    #: The board as printed.
-    printed: Print
+    #: The camera of each station as stated.
+    stated_cameras: tuple[Camera, ...]
+    #: The same cameras with their true numbers.
+    cameras: tuple[Camera, ...]
+    #: The board of each target as printed.
+    prints: tuple[Print, ...]
+
+    @property
+    def stated(self) -> Camera:
+        """The only camera as stated, or the first one."""
+        return self.stated_cameras[0]
+
+    @property
+    def camera(self) -> Camera:
+        """The only camera, or the first one, with its true numbers."""
+        return self.cameras[0]
+
+    @property
+    def printed(self) -> Print:
+        """The only board, or the first one, as printed."""
+        return self.prints[0]
 
 
-def draw_equipment(robot: Robot, cell: Cell, seed: int) -> Equipment:
-    """Draw camera and board around those that a cell states, or around usual ones, by their standard deviations.
+def draw_equipment(
+    robot: Robot,
+    cell: Cell,
+    seed: int,
+    groups: Sequence[str] = ("",),
+    targets: Sequence[str] = ("",),
+) -> Equipment:
+    """Draw cameras and boards around those that a cell states, or around usual ones, by their standard deviations.
 
     Args:
         robot: The chain between the links of camera and board, whose reach gives the size of a usual board.
-        cell: Has at most one of each.
+        cell: Its cameras and boards; one without a name is that of all that have none of their own.
         seed: Of the random numbers.
+        groups: Names of the stations.
+        targets: Names of the targets.
 
     Returns:
-        The stated camera, the true one, and the board as it is printed.
-
-    Raises:
-        CalibError: The cell has several cameras or boards.
+        The stated camera of each station, the true one, and the board of each target as it is printed.
     """
-    stated = _only(cell.cameras, "cameras") or usual_camera()
-    board = _only(cell.boards, "boards") or usual_board(robot)
-    camera = draw_camera(stated, stream(seed, "camera"))
-    return Equipment(stated, camera, draw_print(board, stream(seed, "board")))
-
-
-def _only(described: Mapping[str, Described], what: str) -> Described | None:
-    """Return the one camera or board of those described, by name; None if there is none, `CalibError` for several."""
-    if len(described) > 1:
-        raise CalibError(
-            f"The cell has the {what} {choices(described)}; pictures are simulated with one of each."
-        )
-    return next(iter(described.values()), None)
+    # One without a name is moved from station to station, or from target to target.
+    of_groups = [name if name in cell.cameras else "" for name in groups]
+    of_targets = [name if name in cell.boards else "" for name in targets]
+    random = stream(seed, "camera")
+    stated = {name: cell.cameras.get(name) or usual_camera() for name in of_groups}
+    cameras = {name: draw_camera(camera, random) for name, camera in stated.items()}
+    random = stream(seed, "board")
+    boards = {name: cell.boards.get(name) or usual_board(robot) for name in of_targets}
+    prints = {name: draw_print(board, random) for name, board in boards.items()}
+    return Equipment(
+        stated_cameras=tuple(stated[name] for name in of_groups),
+        cameras=tuple(cameras[name] for name in of_groups),
+        prints=tuple(prints[name] for name in of_targets),
+    )
 
 
 def usual_camera() -> Camera:

@@ -58,7 +58,8 @@ _ELEVATION = (np.deg2rad(5.0), np.deg2rad(50.0))
 #: Share of boards that hang on a wall; the others lie on a table.
 _ON_WALL = 0.3
 
-#: Least share of the way to the flange along the last joint's axis, if the flange points along it.
+#: Least share of the way to the flange along the last joint's axis, if the flange points along it; and least length of
+#: the mean direction to another link, if that is mostly on one side.
 _POINTS = 0.3
 
 
@@ -74,10 +75,11 @@ def draw_scene(
     """Draw the places of camera and board in a cell.
 
     A camera on the flange looks outward, and the board lies on the table or hangs on a wall; a camera beside the robot
-    looks at its workspace, and the board is on the flange.
+    looks at its workspace, and the board is on the flange. If both links move, the camera looks to where the board's
+    link mostly is.
 
     Args:
-        robot: The chain from the camera's link to the board's. If both move, the camera's mount must be given.
+        robot: The chain from the camera's link to the board's.
         camera: The camera, whose numbers are known.
         printed: The board.
         seed: Of the random numbers, or where they come from.
@@ -89,21 +91,18 @@ def draw_scene(
         Robot, camera and board with the places that give the most and the most varied views, of several drawn.
 
     Raises:
-        CalibError: Both links move and the camera's mount is not given, or the board is never seen.
+        CalibError: The board is never seen.
     """
     rng = np.random.default_rng(seed)
     best = None
     most = 0.0
     centre = printed.board.centre
     moves_camera, moves_board = moving_sides(robot)
-    if moves_camera and moves_board and T_camera_base is None:
-        raise CalibError(
-            f"Both '{robot.base}', which carries the camera, and '{robot.tip}', which carries the board, move; state "
-            "in the cell file where the link is in the camera: frame_xyz_mm and frame_rpy_deg."
-        )
     for _ in range(_PLACES):
         T_camera, T_board = T_camera_base, T_tip_board
-        if T_camera is None and moves_camera:
+        if T_camera is None and moves_camera and moves_board:
+            T_camera = rigid_inverse(camera_towards(robot, rng))
+        elif T_camera is None and moves_camera:
             T_camera = rigid_inverse(camera_on_flange(_reversed(robot), rng))
         elif T_camera is None:
             farthest = filling_distance(camera, printed.board) / _STILL_FILLS
@@ -188,6 +187,28 @@ def camera_on_flange(arm: Robot, rng: np.random.Generator) -> Array:
     flange = frame_along(outward(arm), rng.uniform(0.0, 2.0 * np.pi))
     place = [rng.uniform(*_BESIDE_FLANGE), 0.0, rng.uniform(*_ALONG_FLANGE)]
     return pose_of(flange @ place, flange @ _draw_turn(rng))
+
+
+def camera_towards(robot: Robot, rng: np.random.Generator) -> Array:
+    """Draw a camera on a link that moves, which looks to where another link that moves mostly is.
+
+    If that may be anywhere around it, as between the flanges of two arms, the camera looks outward.
+
+    Args:
+        robot: The chain from the camera's link to the other one.
+        rng: Random numbers.
+
+    Returns:
+        T_link_camera, shape (4, 4) [m].
+    """
+    positions = robot.poses(spread_poses(robot))[:, :3, 3]
+    towards = np.mean(positions / np.linalg.norm(positions, axis=1, keepdims=True), axis=0)
+    length = float(np.linalg.norm(towards))
+    if length < _POINTS:
+        return camera_on_flange(_reversed(robot), rng)
+    R = frame_along(towards / length, rng.uniform(0.0, 2.0 * np.pi))
+    place = [rng.uniform(*_BESIDE_FLANGE), 0.0, rng.uniform(*_ALONG_FLANGE)]
+    return pose_of(R @ place, R @ _draw_turn(rng))
 
 
 def board_on_flange(arm: Robot, centre: Array, rng: np.random.Generator) -> Array:

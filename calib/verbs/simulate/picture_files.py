@@ -17,6 +17,7 @@ from calib.boards.board_file import board_toml
 from calib.boards.render import USUAL_SCENE, Scene, render, write_png
 from calib.camera.camera_file import camera_info_yaml
 from calib.data.columns import MOVE, SETS
+from calib.errors import CalibError
 from calib.verbs.simulate.random_streams import stream
 from calib.verbs.simulate.scenario import Simulated
 
@@ -64,11 +65,16 @@ def write_pictures(
 
     Raises:
         FileError: A file exists, or cannot be written.
-        CalibError: OpenCV is not installed.
+        CalibError: OpenCV is not installed, or there are several cameras or boards, which are simulated as a table.
     """
     pictures = simulated.pictures
     assert pictures is not None
     equipment = pictures.equipment
+    if len(equipment.cameras) > 1 or len(equipment.prints) > 1:
+        raise CalibError(
+            f"Pictures are drawn of one camera and one board, and the cell has {len(equipment.cameras)} and "
+            f"{len(equipment.prints)}. Leave out --images: -o writes the table of corners of all of them."
+        )
     values, endings = pictures.readings, [""]
     if pictures.moves is not None:
         values, endings = np.hstack([values, pictures.moves]), ["", MOVE]

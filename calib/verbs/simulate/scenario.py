@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 import calib.data.kinds as registry
 from calib.basics.arguments import (
@@ -28,7 +29,8 @@ from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import residual_unit
 from calib.basics.values import Value, keep_read_only, one_line
 from calib.data.cell import Cell, TrackerNoise
-from calib.data.columns import SETS
+from calib.data.cell_chains import cell_of_sight, named_targets
+from calib.data.columns import DEFAULT_TARGET, SETS
 from calib.data.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
@@ -58,6 +60,9 @@ from calib.verbs.simulate.views import CameraScene, draw_views
 
 #: Position of the tracker in the base if nothing is given [m].
 DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
+
+#: Distance of a further robot from the first one if its place is not stated: their hands meet [m].
+BESIDE = 1.0
 
 #: The set of errors if the cell leaves the model to the data.
 DEFAULT_MODEL = "placement"
@@ -118,7 +123,7 @@ class Scenario(Value):
 
         A value of another type or out of range, or a kind that cannot be simulated, raises `CalibError`.
         """
-        object.__setattr__(self, "cell", cell_of(self.cell))
+        object.__setattr__(self, "cell", with_robots_placed(cell_of(self.cell)))
         object.__setattr__(self, "robot", robot_of(self.robot, self.cell))
         for name, types, allowed in _TYPES:
             check_type(name, getattr(self, name), types, allowed)
@@ -189,8 +194,8 @@ class Scenario(Value):
 
         Raises:
             ModelError: An error that the model does not have, or a true robot with other joints.
-            CalibError: An error larger than calib allows. With a camera: disturbances that pictures do not have,
-                several cameras or boards, or a board that is never seen.
+            CalibError: An error larger than calib allows. With a camera: disturbances that pictures do not have, or a
+                board that is never seen.
         """
         truth = draw_truth(
             self.robot,
@@ -212,22 +217,52 @@ class Scenario(Value):
         given = [name for name, is_there in is_given.items() if is_there]
         if given:
             raise CalibError(f"Pictures are simulated without {choices(given)} of [simulation].")
-        equipment = draw_equipment(self.robot, self.cell, seed)
-        camera, printed = equipment.camera, equipment.printed
-        T_camera_base, T_tip_board = camera_and_board_places(self.cell)
+        return self._with_scenes(truth, seed)
+
+    def _with_scenes(self, truth: Truth, seed: int) -> VirtualCell:
+        """Return a virtual cell with cameras and boards, placed as `draw_scene` does, each once, in the cell's order.
+
+        It raises `CalibError` if a camera never sees a board, or a board is never seen.
+        """
+        cell, chains = self.cell, truth.nominal.chains
+        targets = truth.targets
+        equipment = draw_equipment(chains[0], cell, seed, truth.groups, targets)
         rng = stream(seed, "mounts")
-        sightline = draw_scene(
-            self.robot, camera, printed, rng, T_camera_base, T_tip_board
-        ).sightline
+        cameras: dict[int, Array] = {}
+        boards: dict[int, Array] = {}
+        aimed = []
+        unseen: CalibError | None = None
+        for (f, t), chain in truth.sights.items():
+            stated = cell_of_sight(cell, truth.groups[f], targets[t])
+            T_camera_base, T_tip_board = camera_and_board_places(stated)
+            camera, printed = equipment.cameras[f], equipment.prints[t]
+            try:
+                sightline = draw_scene(
+                    chains[chain],
+                    camera,
+                    printed,
+                    rng,
+                    cameras.get(f, T_camera_base),
+                    boards.get(t, T_tip_board),
+                ).sightline
+            except CalibError as error:  # another camera may see it
+                unseen = unseen or error
+                continue
+            cameras[f], boards[t] = sightline.T_instrument_base, sightline.T_tip_target
+            aimed.append((f, t))
+        if unseen is not None and (len(cameras) < len(truth.groups) or len(boards) < len(targets)):
+            raise unseen
+        T_tip_target = read_only(np.stack([boards[t] for t in range(len(targets))]))
+        if targets == (DEFAULT_TARGET,):
+            targets = (equipment.printed.board.name,)
         placed = replace(
             truth,
-            groups=("",),
-            T_frame_base=read_only(sightline.T_instrument_base[None]),
-            targets=(printed.board.name,),
-            T_tip_target=read_only(sightline.T_tip_target[None]),
-            stated_T_tip_target=read_only(sightline.T_tip_target[None]),
+            T_frame_base=read_only(np.stack([cameras[f] for f in range(len(truth.groups))])),
+            targets=targets,
+            T_tip_target=T_tip_target,
+            stated_T_tip_target=T_tip_target,
         )
-        return VirtualCell(self, placed, equipment)
+        return VirtualCell(self, placed, equipment, tuple(aimed))
 
     def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
         """Draw readings at joint values that are uniform within the robot's limits, or the cell's ranges.
@@ -292,10 +327,12 @@ class VirtualCell(Value):
 
     #: The specification that it was drawn from
     scenario: Scenario
-    #: The robot, the targets and the frames; with a camera its one frame is the camera, its one target the board
+    #: The robot, the targets and the frames; with cameras the frames are the cameras, the targets the boards
     truth: Truth
-    #: The camera and the board as they are; None: another instrument
+    #: The cameras and the boards as they are; None: another instrument
     equipment: Equipment | None = None
+    #: Numbers of the cameras and the boards that they see at the poses that are drawn
+    aimed: tuple[tuple[int, int], ...] = ()
 
     def __repr__(self) -> str:
         """Return one line: the scenario from which it was drawn."""
@@ -307,18 +344,28 @@ class VirtualCell(Value):
         scenario = self.scenario
         if self.equipment is not None:
             sigma = scenario.sigma.get("px", 0.0)
-            return CameraReader(scenario.kind, self.equipment, sigma, scenario.outliers)
+            return CameraReader(
+                scenario.kind,
+                self.equipment,
+                self.truth.groups,
+                named_targets(scenario.cell, images=True),
+                sigma,
+                scenario.outliers,
+            )
         return TrackerReader(
             kind=scenario.kind,
             truth=self.truth,
             noise=scenario.noise,
             sigma=scenario.sigma,
-            position=scenario.tracker,
+            # Instruments on several links are each at the origin of their frame.
+            position=scenario.tracker if len(set(self.truth.frame_links)) <= 1 else None,
             outliers=scenario.outliers,
         )
 
     def poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
-        """Draw readings at which targets are measured: random ones, or such that a camera sees the whole board.
+        """Draw readings at which targets are measured: random ones, or such that a camera sees a whole board.
+
+        Of several cameras and boards each pair has its share of the poses, in turn.
 
         Args:
             count: Number of poses.
@@ -334,9 +381,15 @@ class VirtualCell(Value):
         if self.equipment is None:
             return self.scenario.random_poses(count, seed, validation=validation)
         truth = self.truth
-        sightline = Sightline(truth.nominal, truth.T_frame_base[0], truth.T_tip_target[0])
-        scene = CameraScene(sightline, self.equipment.camera, self.equipment.printed)
-        return draw_views(scene, count, stream(seed, "validation views" if validation else "views"))
+        random = stream(seed, "validation views" if validation else "views")
+        poses = np.empty((count, len(truth.nominal.inputs)))
+        for k, (f, t) in enumerate(self.aimed):
+            chain = truth.nominal.chains[truth.sights[f, t]]
+            sightline = Sightline(chain, truth.T_frame_base[f], truth.T_tip_target[t])
+            scene = CameraScene(sightline, self.equipment.cameras[f], self.equipment.prints[t])
+            mine = slice(k, count, len(self.aimed))
+            poses[mine] = draw_views(scene, len(poses[mine]), random)
+        return read_only(poses)
 
     def measure(
         self,
@@ -345,9 +398,9 @@ class VirtualCell(Value):
         sets: Sequence[str] | None = None,
         moves: Array | None = None,
     ) -> Simulated:
-        """Measure every target at every pose, or with a camera every corner of the board that is seen.
+        """Measure every target at every pose, or with cameras every corner of a board that is seen.
 
-        The stations take the poses in turn; with several visits the whole tour is repeated.
+        The stations on one link take the poses in turn; with several visits the whole tour is repeated.
 
         Args:
             q: Commanded poses, shape (N, m), [rad] or [m].
@@ -366,7 +419,13 @@ class VirtualCell(Value):
         if sets is not None:
             check_names("sets", sets)
         sets = (SETS[0],) * len(commanded) if sets is None else tuple(sets)
-        tour = Tour.of(truth, sets, visits=scenario.visits, paired=scenario.kind.paired)
+        tour = Tour.of(
+            truth,
+            sets,
+            visits=scenario.visits,
+            paired=scenario.kind.paired,
+            at_once=self.equipment is not None,
+        )
         sliding = [joint.type == "prismatic" for joint in robot.inputs]
         true_q, read_q = scenario.encoder.measure(commanded[tour.route], sliding, seed)
 
@@ -376,15 +435,19 @@ class VirtualCell(Value):
             moved = scenario.moved.rows([truth.targets[t] for t in tour.target])
             T_tip_target[moved, :3, 3] += scenario.moved.by
         moves = None if moves is None else moves[tour.route]
-        T_base_tip = truth.tip_poses(true_q, moves)[tour.stop]
+        T_base_tip = np.empty((len(tour), 4, 4))
+        for chain in np.unique(tour.chain).tolist():
+            views = tour.chain == chain
+            T_base_tip[views] = truth.tip_poses(true_q, moves, chain)[tour.stop[views]]
         T = truth.T_frame_base[tour.group] @ T_base_tip @ T_tip_target
 
-        # The robot's repeatability displaces all targets of one stop alike.
+        # The robot's repeatability displaces all targets of one stop alike, those of each chain by its own.
         repeatability = 0.0 if scenario.noise is None else scenario.noise.repeatability
         drift = np.linspace(0.0, 1.0, len(T))[:, None] * scenario.drift
-        unit_normal = stream(seed, "robot noise").standard_normal((len(tour.route), 3))
+        shape = (len(robot.chains), len(tour.route), 3)
+        unit_normal = stream(seed, "robot noise").standard_normal(shape)
         displaced = T.copy()
-        displaced[:, :3, 3] += drift + (repeatability * unit_normal)[tour.stop]
+        displaced[:, :3, 3] += drift + (repeatability * unit_normal)[tour.chain, tour.stop]
 
         rows = self.reader.read(Stops(tour, read_q, true_q, T, displaced), seed)
         stop, found_moved = tour.stop[rows.view], moved[rows.view]
@@ -406,8 +469,23 @@ class VirtualCell(Value):
             outliers=read_only(rows.outliers),
             moved=found_moved,
             seed=int(seed),
-            pictures=None if rows.pictures is None else replace(rows.pictures, moves=moves),
+            pictures=None
+            if rows.pictures is None
+            else replace(rows.pictures, moves=None if moves is None else moves[tour.stop]),
         )
+
+
+def with_robots_placed(cell: Cell) -> Cell:
+    """Return a cell whose further robots all stand somewhere: those without a place around the first, facing it."""
+    placed = dict(cell.robots)
+    for k, (name, robot) in enumerate(cell.robots.items()):
+        if robot.T_root_base is None:
+            angle = 2.0 * np.pi * k / len(cell.robots)
+            T_root_base = np.eye(4)
+            T_root_base[:3, :3] = Rotation.from_euler("z", angle + np.pi).as_matrix()
+            T_root_base[:2, 3] = BESIDE * np.cos(angle), BESIDE * np.sin(angle)
+            placed[name] = replace(robot, T_root_base=read_only(T_root_base))
+    return replace(cell, robots=placed) if cell.robots else cell
 
 
 def simulate(

@@ -17,12 +17,14 @@ from calib.basics.records import key, read_record
 from calib.basics.units import LENGTH, parse_amount, parse_noise, quantity_name
 from calib.basics.value_forms import DEGREES, MM, NUMBER, POINT_MM, Place, text
 from calib.data.cell import Cell, TrackerNoise, read_toml
+from calib.data.cell_chains import robot_with_chains_of
 from calib.data.inputs import chain_of, robot_of
 from calib.errors import CalibError, choices
 from calib.instruments.tracker import noise_of_lengths
 from calib.model.families import FAMILIES, unit_of
 from calib.model.parameter_sets import error_model
 from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
 from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.verbs.simulate.scenario import DEFAULT_MODEL, Scenario
 from calib.verbs.simulate.truth import TARGET_ERROR
@@ -150,7 +152,10 @@ def read_scenario(
         errors[name] = parse_amount(value, "--error", unit.quantity, unit.example, signed=True)
     true_robot = None
     if words.truth_robot is not None:
-        true_robot = robot_of(words.truth_robot, chain_of(robot))
+        if robot.branches or robot.parts:
+            true_robot = robot_with_chains_of(robot, read_urdf(words.truth_robot), robot.held)
+        else:
+            true_robot = robot_of(words.truth_robot, chain_of(robot))
     target_error = TARGET_ERROR
     if words.target_error is not None:
         target_error = parse_amount(words.target_error, "--target-error", LENGTH, "1 mm")

@@ -20,11 +20,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.basics.arrays import Array, Integers, read_only
+from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, VECTOR
 from calib.basics.values import Value, one_line
+from calib.boards.board import Board
+from calib.boards.detection.board_search import FEWEST_CORNERS
 from calib.boards.project import Sight, corner_pixels
-from calib.data.columns import SETS
+from calib.data.columns import DEFAULT_TARGET, SETS
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.data.surroundings import TrackerNoise
@@ -53,6 +55,8 @@ class Tour:
     target: Integers
     #: (R,), its station.
     group: Integers
+    #: (R,), the number of the chain between them.
+    chain: Integers
     #: (R,), its set.
     sets: tuple[str, ...]
     #: (R,), the other view of its pair; None: views are not paired.
@@ -60,23 +64,44 @@ class Tour:
 
     @classmethod
     def of(
-        cls, truth: Truth, sets: Sequence[str], *, visits: int = 1, paired: bool = False
+        cls,
+        truth: Truth,
+        sets: Sequence[str],
+        *,
+        visits: int = 1,
+        paired: bool = False,
+        at_once: bool = False,
     ) -> Tour:
-        """Return the views of a tour, one for each target at each stop; the stations take the poses in turn.
+        """Return the views of a tour, one for each target at each stop.
+
+        Stations on one link are one instrument, which takes the poses at them in turn; those on different links are
+        several, all of which measure at each stop.
 
         Args:
             truth: Has the targets and the stations.
             sets: ``"estimate"`` or ``"validate"`` for each pose.
             visits: Number of times that all poses are visited.
             paired: Whether a target is measured at pairs of poses, which follow each other in their set.
+            at_once: Whether all stations measure at each stop, as cameras do.
 
         Raises:
-            CalibError: Pairs of an odd number of poses.
+            CalibError: Pairs of an odd number of poses, or of poses at which different targets are measured.
         """
-        targets = len(truth.targets)
+        sights = [(f, t, chain) for (f, t), chain in truth.sights.items()]
+        links = truth.frame_links or ("",) * len(truth.groups)
+        on_link: dict[str, list[int]] = {}
+        for f in dict.fromkeys(f for f, _, _ in sights):
+            on_link.setdefault(links[f], []).append(f)
+        views: list[list[tuple[int, int, int]]] = []  # at each pose
+        for pose in range(len(sets)):
+            active = {members[pose % len(members)] for members in on_link.values()}
+            views.append([sight for sight in sights if at_once or sight[0] in active])
+
         route = np.tile(np.arange(len(sets)), visits)
-        stop = np.repeat(np.arange(len(route)), targets)
-        pose = route[stop]
+        counts = np.array([len(of_pose) for of_pose in views], dtype=np.int_)[route]
+        stop = np.repeat(np.arange(len(route)), counts)
+        each = [sight for pose in route.tolist() for sight in views[pose]]
+        group, target, chain = np.array(each, dtype=np.int_).reshape(-1, 3).T
         partner = None
         if paired:
             # Consecutive poses of one set, the same target, the same visit.
@@ -89,13 +114,20 @@ class Tour:
                     )
                 other[members[::2]] = members[1::2]
                 other[members[1::2]] = members[::2]
-            partner = np.asarray(np.arange(len(pose)) + (other[pose] - pose) * targets)
+            if any(len(views[i]) != len(views[k]) for i, k in enumerate(other.tolist())):
+                raise CalibError(
+                    "Pairs are simulated of stations that see equally many targets; simulate the stations one by one."
+                )
+            first = np.cumsum(counts) - counts  # view of each stop
+            stops_away = (other - np.arange(len(sets)))[route[stop]]
+            partner = first[stop + stops_away] + np.arange(len(stop)) - first[stop]
         return cls(
             route=route,
             stop=stop,
-            target=np.tile(np.arange(targets), len(route)),
-            group=pose % len(truth.groups),
-            sets=tuple(sets[i] for i in pose),
+            target=target,
+            group=group,
+            chain=chain,
+            sets=tuple(sets[i] for i in route[stop]),
             partner=partner,
         )
 
@@ -136,14 +168,18 @@ class Stops(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures(Value):
-    """P pictures, and the R corners that are seen in them."""
+    """P pictures of a board, and the R corners that are seen in them; of two boards in one image there are two."""
 
-    #: The camera and the board as they are.
+    #: The cameras and the boards as they are.
     equipment: Equipment
     #: Names of the pictures' files.
     images: tuple[str, ...]
     #: ``"estimate"`` or ``"validate"`` for each picture.
     sets: tuple[str, ...]
+    #: Number of each picture's camera, shape (P,), from 0.
+    camera: Integers
+    #: Number of its board, shape (P,), from 0.
+    board: Integers
     #: Readings of the joints, shape (P, m), [rad] or [m].
     readings: Array
     #: True joint values, shape (P, m), [rad] or [m].
@@ -165,7 +201,8 @@ class Pictures(Value):
 
     def __repr__(self) -> str:
         """Return one line: pictures and corners."""
-        return one_line("Pictures", f"{len(self.images)} pictures", f"{len(self.picture)} corners")
+        count = len(set(self.images))
+        return one_line("Pictures", f"{count} pictures", f"{len(self.picture)} corners")
 
 
 class Rows(NamedTuple):
@@ -296,11 +333,15 @@ class TrackerReader(Reader):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraReader(Reader):
-    """A camera that takes a picture of the board at each stop."""
+    """Cameras that each take a picture at every stop."""
 
     kind: Kind
-    #: The camera and the board as they are.
+    #: The cameras and the boards as they are.
     equipment: Equipment
+    #: Names of the stations, one for each camera.
+    groups: tuple[str, ...]
+    #: Names of the targets, one for each board.
+    targets: tuple[str, ...]
     #: Standard deviation of the noise of a coordinate [px].
     sigma: float
     #: None: none.
@@ -308,17 +349,36 @@ class CameraReader(Reader):
 
     def read(self, stops: Stops, seed: int) -> Rows:
         """Find the corners that are seen in each picture, a row each; raises `CalibError` if none is seen in any."""
-        T, sets = stops.displaced, stops.tour.sets
-        camera, printed = self.equipment.camera, self.equipment.printed
-        pixels, is_seen = corner_pixels(camera, printed.corners, T, SIGHT)
-        picture, corner = np.nonzero(is_seen)
+        tour, equipment = stops.tour, self.equipment
+        T, sets = stops.displaced, tour.sets
+        random = stream(seed, "pixel noise")
+        numbers: list[Integers] = []  # of picture and corner, (2, n) each
+        places: list[Array] = []  # true and found in the picture, and on the board, (n, 7) each
+        sights = dict.fromkeys(zip(tour.group.tolist(), tour.target.tolist(), strict=True))
+        for f, t in sights:
+            views = np.flatnonzero((tour.group == f) & (tour.target == t))
+            printed = equipment.prints[t]
+            pixels, is_seen = corner_pixels(equipment.cameras[f], printed.corners, T[views], SIGHT)
+            if len(sights) > 1:  # a board that comes into view by chance
+                is_seen &= _is_detected(printed.board, is_seen)[:, None]
+            view, corner = np.nonzero(is_seen)
+            # Drawn for all corners, seen or not, so that the noise of one does not depend on which others are seen.
+            found = pixels + self.sigma * random.standard_normal(pixels.shape)
+            points = printed.board.corners[corner]
+            numbers.append(np.stack([views[view], corner]))
+            places.append(np.hstack([pixels[is_seen], found[is_seen], points]))
+        picture, corner = np.concatenate(numbers, axis=1)
+        order = np.argsort(picture, kind="stable")
+        picture, corner = picture[order], corner[order]
+        true_pixels, found, points = np.split(np.concatenate(places)[order], [2, 4], axis=1)
         if not len(picture):
+            seen_by = "The camera sees no corner of the board"
+            if len(sights) > 1:
+                seen_by = "No camera sees a corner of a board"
             raise CalibError(
-                f"The camera sees no corner of the board from any of the {len(T)} poses; without --poses, poses are "
-                "drawn from which it does."
+                f"{seen_by} from any of the {len(tour.route)} poses; without --poses, poses are drawn from which it "
+                "does."
             )
-        # Drawn for all corners, seen or not, so that the noise of one does not depend on which others are seen.
-        noise = self.sigma * stream(seed, "pixel noise").standard_normal(pixels.shape)
         outliers = np.zeros((len(picture), 2))
         if self.outliers is not None:
             candidates = [row for row, k in enumerate(picture.tolist()) if sets[k] == SETS[0]]
@@ -326,37 +386,55 @@ class CameraReader(Reader):
             angle = stream(seed, "outlier directions").uniform(0.0, 2.0 * np.pi, len(picture))
             directions = np.column_stack([np.cos(angle), np.sin(angle)])
             outliers[chosen] = OUTLIER * directions[chosen]
-        found = (pixels + noise)[is_seen] + outliers
+        found = found + outliers
 
-        digits = max(2, len(str(len(T))))
-        images = tuple(f"picture_{number:0{digits}}.png" for number in range(1, len(T) + 1))
+        digits = max(2, len(str(len(tour.route))))
+        images = tuple(
+            f"{self.groups[f] or 'picture'}_{stop + 1:0{digits}}.png"
+            for f, stop in zip(tour.group.tolist(), tour.stop.tolist(), strict=True)
+        )
         sigma = np.full(len(picture), self.sigma)
+        words: dict[str, tuple[str, ...]] = {}
+        if self.groups != ("",):
+            words["groups"] = tuple(self.groups[f] for f in tour.group[picture])
+        if self.targets != (DEFAULT_TARGET,):
+            words["targets"] = tuple(self.targets[t] for t in tour.target[picture])
         return Rows(
             view=picture,
             columns={
                 "kinds": (self.kind.name,) * len(picture),
                 "images": tuple(images[k] for k in picture.tolist()),
                 "corners": tuple(map(str, corner.tolist())),
-                "board_points": printed.board.corners[corner],
+                "board_points": points,
                 "sigma": {"px": sigma} if self.sigma > 0.0 else {},
+                **words,
                 **Measurements.columns_of(self.kind, found),
             },
             sigma=sigma,
             outliers=outliers,
             pictures=Pictures(
-                equipment=self.equipment,
+                equipment=equipment,
                 images=images,
                 sets=sets,
-                readings=read_only(stops.read_q),
-                q=read_only(stops.true_q),
+                camera=tour.group,
+                board=tour.target,
+                readings=read_only(stops.read_q[tour.stop]),
+                q=read_only(stops.true_q[tour.stop]),
                 T_camera_board=read_only(T),
                 picture=picture,
                 corner=corner,
-                true_pixels=read_only(pixels[is_seen]),
+                true_pixels=read_only(true_pixels),
                 pixels=read_only(found),
                 sigma=self.sigma,
             ),
         )
+
+
+def _is_detected(board: Board, is_seen: Mask) -> Mask:
+    """Return whether `calib detect` finds a board by the corners that N pictures show, (N, n), shape (N,)."""
+    corners = is_seen.shape[1]
+    fewest = min(FEWEST_CORNERS, corners) if board.markers else corners
+    return np.asarray(is_seen.sum(axis=1) >= fewest)
 
 
 def with_pose_noise(kind: Kind, readings: Array, R: Array, noise: Mapping[str, Array]) -> Array:

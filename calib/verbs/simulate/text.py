@@ -11,6 +11,7 @@ from calib.boards.project import corner_pixels
 from calib.camera.lenses import LENSES
 from calib.data.columns import SETS
 from calib.instruments.camera import board_tilts
+from calib.model.error_model import MOUNT
 from calib.model.families import FAMILIES, unit_of
 from calib.numerics.errors import rms
 from calib.show.lines import fill, plural, row_ranges
@@ -37,18 +38,32 @@ def simulated_text(scenario: Scenario, simulated: Simulated) -> str:
     if pictures is None:
         sets = simulated.measurements.sets
         counts = f"{len(sets)} rows{_count_sets(sets)}"
-        title = f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {counts}."
+        chains = " and ".join(f"{chain.base} to {chain.tip}" for chain in robot.chains)
+        title = f"Simulated: robot '{robot.name}', {chains}, {counts}."
         facts = _tracker_facts(scenario, simulated)
     else:
-        sets = pictures.sets
+        truth = simulated.truth
+        sets = tuple(_sets_of_images(pictures))
         counts = f"{plural(len(pictures.picture), 'corner')} in {plural(len(sets), 'picture')}{_count_sets(sets)}"
-        title = f"Simulated: robot '{robot.name}', camera on {robot.base}, board on {robot.tip}, {counts}."
+        cameras = " and ".join(dict.fromkeys(truth.frame_links))
+        boards = " and ".join(dict.fromkeys(truth.target_links))
+        title = (
+            f"Simulated: robot '{robot.name}', camera on {cameras}, board on {boards}, {counts}."
+        )
         facts = _picture_facts(scenario, simulated, pictures)
     lines = [fill(title), ""]
     for label, text in facts:
         if text:
             lines.append(labelled(label, text, _LABEL))
     return "\n".join(lines)
+
+
+def _sets_of_images(pictures: Pictures) -> list[str]:
+    """Return the set of each image, in which several boards may be seen; of several cameras those that show one."""
+    shown = range(len(pictures.images))
+    if len(set(pictures.camera.tolist())) > 1:
+        shown = np.unique(pictures.picture).tolist()
+    return list({pictures.images[k]: pictures.sets[k] for k in shown}.values())
 
 
 def _count_sets(sets: Sequence[str]) -> str:
@@ -65,6 +80,8 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
     Args:
         truth: The robot with its errors, and its targets, whose first one shows the nominal robot's position errors.
         q: True joint values of the measurements, shape (N, m), [rad] or [m].
+
+    Of several chains the nominal robot's errors are those of each.
     """
     families = _errors_by_family(truth)
     model = f"model {truth.model.name}"
@@ -76,23 +93,32 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
         name = max(errors, key=lambda name: abs(errors[name]))
         size = factor * rms(np.array(list(errors.values())))
         largest = f"{name} {factor * errors[name]:.3g} {symbol}"
-        yield f"  {family}", f"{len(errors)}, rms {size:.3g} {symbol}, largest {largest}"
-    distances = truth.nominal_errors(q)
-    text = f"{_mm(rms(distances))} mm rms, {_mm(distances.max())} mm at most"
-    yield "  of the nominal robot", text
+        label = "place of a robot" if family == MOUNT else family
+        yield f"  {label}", f"{len(errors)}, rms {size:.3g} {symbol}, largest {largest}"
+    for (f, t), chain in truth.sights.items():
+        if list(truth.sights.values()).index(chain) != list(truth.sights).index((f, t)):
+            continue  # another target on the same link
+        distances = truth.nominal_errors(q, t, f)
+        text = f"{_mm(rms(distances))} mm rms, {_mm(distances.max())} mm at most"
+        who = "of the nominal robot"
+        if len(truth.nominal.chains) > 1:
+            who = "of the nominal one"
+            ends = truth.nominal.chains[chain]
+            text = f"{ends.base} to {ends.tip}: {text}"
+        yield f"  {who}", text
 
 
 def _errors_by_family(truth: Truth) -> dict[tuple[str, str], dict[str, float]]:
     """Return the true errors that are not 0 by their names, in their SI units, for each family and unit in it.
 
-    Families are in the order of `FAMILIES`.
+    Families are in the order of `FAMILIES`, places of further robots last.
     """
     families: dict[tuple[str, str], dict[str, float]] = {}
     for parameter, value in zip(truth.model.parameters, truth.x, strict=True):
         if value:
             errors = families.setdefault((parameter.family, parameter.unit), {})
             errors[parameter.name] = float(value)
-    order = list(FAMILIES)
+    order = [*FAMILIES, MOUNT]
     keys = sorted(families, key=lambda key: (order.index(key[0]), key[1]))
     return {key: families[key] for key in keys}
 
@@ -105,18 +131,22 @@ def _tracker_facts(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[s
     truth, kind = simulated.truth, scenario.kind
     yield "Each row measures", f"the {kind.words}"
     yield "Targets at each pose", ", ".join(truth.targets)
-    yield "Stations in turn", ", ".join(truth.groups)
+    in_turn = len(set(truth.frame_links)) <= 1
+    yield "Stations in turn" if in_turn else "Stations", ", ".join(truth.groups)
     yield "Visits of each pose", str(scenario.visits)
     yield from error_lines(truth, simulated.q)
 
     # True places of targets and frames.
+    several = len(truth.nominal.chains) > 1
     targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
-    for name, T, given in targets:
-        place = f"{point_mm(T[:3, 3])} mm in the tip, given as {point_mm(given[:3, 3])} mm"
+    for t, (name, T, given) in enumerate(targets):
+        link = truth.target_links[t] if several else "the tip"
+        place = f"{point_mm(T[:3, 3])} mm in {link}, given as {point_mm(given[:3, 3])} mm"
         yield f"Target '{name}'", place
     if kind.directions:  # else no row depends on a frame
-        for name, T in zip(truth.groups, truth.T_frame_base, strict=True):
-            place = f"the base is at {point_mm(T[:3, 3])} mm in it"
+        for f, (name, T) in enumerate(zip(truth.groups, truth.T_frame_base, strict=True)):
+            link = truth.frame_links[f] if several else "the base"
+            place = f"{link} is at {point_mm(T[:3, 3])} mm in it"
             if np.abs(T - np.eye(4)).max() < _ROUNDING:
                 place = "the base frame"
             yield f"Frame of '{name}'" if name else "Measurement frame", place
@@ -147,46 +177,62 @@ def _picture_facts(
     scenario: Scenario, simulated: Simulated, pictures: Pictures
 ) -> Iterator[tuple[str, str]]:
     """Yield label and text of each fact about pictures and true errors; the text of encoder steps may be empty."""
-    truth = simulated.truth
-    camera, stated = pictures.equipment.camera, pictures.equipment.stated
-    printed, board = pictures.equipment.printed, pictures.equipment.printed.board
-
-    # The pictures with corners.
-    corners = len(printed.corners)
-    fewest = np.bincount(pictures.picture, minlength=len(pictures.images)).min()
-    T = pictures.T_camera_board[np.unique(pictures.picture)]
-    tilts = np.rad2deg(board_tilts(printed.board, T))
-    fills = 100.0 * filled_shares(camera, corner_pixels(camera, printed.corners, T)[0])
-    yield "Corners in a picture", f"{fewest} to {corners} of {corners}"
-    yield (
-        "Board in the pictures",
-        f"tilted by {tilts.min():.0f} to {tilts.max():.0f} deg, spans {fills.min():.0f} to "
-        f"{fills.max():.0f} % of the image",
-    )
+    truth, equipment = simulated.truth, pictures.equipment
+    several = len(truth.sights) > 1
+    for f, t in truth.sights:
+        # The pictures with corners of a board.
+        camera, printed = equipment.cameras[f], equipment.prints[t]
+        here = np.flatnonzero((pictures.camera == f) & (pictures.board == t))
+        corners = len(printed.corners)
+        counts = np.bincount(pictures.picture, minlength=len(pictures.images))[here]
+        fewest = counts.min()
+        text = f"{fewest} to {corners} of {corners}"
+        if several:
+            in_view = counts > 0
+            here, fewest = here[in_view], min(counts[in_view], default=0)
+            text = f"{truth.targets[t]} seen by {truth.groups[f]}: {plural(len(here), 'picture')}"
+            if len(here):
+                text += f", {fewest} to {corners} of {corners}"
+        yield "Corners in a picture", text
+        T = pictures.T_camera_board[np.intersect1d(pictures.picture, here)]
+        if len(T):
+            tilts = np.rad2deg(board_tilts(printed.board, T))
+            fills = 100.0 * filled_shares(camera, corner_pixels(camera, printed.corners, T)[0])
+            yield (
+                "Board in the pictures",
+                f"tilted by {tilts.min():.0f} to {tilts.max():.0f} deg, spans {fills.min():.0f} to "
+                f"{fills.max():.0f} % of the image",
+            )
     yield from error_lines(truth, pictures.q)
 
-    names = LENSES[camera.lens].names
-    words = []
-    for values in (camera.values, stated.values):
-        numbers = [] if values is None else zip(names, values.tolist(), strict=True)
-        words.append(", ".join(f"{name} {value:.6g}" for name, value in numbers))
-    yield "Camera", f"{camera.width} x {camera.height} px, {camera.lens}; true {words[0]}"
-    yield "  stated", words[1] or "nothing but the size"
-    T_base_camera = rigid_inverse(truth.T_frame_base[0])
-    yield "  mounted", f"at {point_mm(T_base_camera[:3, 3])} mm in {truth.nominal.base}"
+    for f, (camera, stated) in enumerate(
+        zip(equipment.cameras, equipment.stated_cameras, strict=True)
+    ):
+        names = LENSES[camera.lens].names
+        words = []
+        for values in (camera.values, stated.values):
+            numbers = [] if values is None else zip(names, values.tolist(), strict=True)
+            words.append(", ".join(f"{name} {value:.6g}" for name, value in numbers))
+        label = f"Camera '{truth.groups[f]}'" if truth.groups[f] else "Camera"
+        yield label, f"{camera.width} x {camera.height} px, {camera.lens}; true {words[0]}"
+        yield "  stated", words[1] or "nothing but the size"
+        T_base_camera = rigid_inverse(truth.T_frame_base[f])
+        yield "  mounted", f"at {point_mm(T_base_camera[:3, 3])} mm in {truth.frame_links[f]}"
 
-    pattern = f"{board.pattern} of {board.columns} x {board.rows}, {1e3 * board.square:g} mm"
-    scale_x, scale_y = (100.0 * (scale - 1.0) for scale in printed.scale)
-    sag_x, sag_y = (1e3 * sag for sag in printed.warp)
-    text = (
-        f"{pattern}; printed {scale_x:+.2f} % wide and {scale_y:+.2f} % high, sags by {sag_x:.2f} mm along x and "
-        f"{sag_y:.2f} mm along y"
-    )
-    if printed.offsets is not None:
-        text += f", corners {1e6 * rms(printed.offsets[:, :2].ravel()):.0f} um rms off"
-    yield "Board", text
-    middle = truth.T_tip_target[0] @ np.append(board.centre, 1.0)
-    yield "  mounted", f"its middle at {point_mm(middle[:3])} mm in {truth.nominal.tip}"
+    for t, printed in enumerate(equipment.prints):
+        board = printed.board
+        pattern = f"{board.pattern} of {board.columns} x {board.rows}, {1e3 * board.square:g} mm"
+        scale_x, scale_y = (100.0 * (scale - 1.0) for scale in printed.scale)
+        sag_x, sag_y = (1e3 * sag for sag in printed.warp)
+        text = (
+            f"{pattern}; printed {scale_x:+.2f} % wide and {scale_y:+.2f} % high, sags by {sag_x:.2f} mm along x and "
+            f"{sag_y:.2f} mm along y"
+        )
+        if printed.offsets is not None:
+            text += f", corners {1e6 * rms(printed.offsets[:, :2].ravel()):.0f} um rms off"
+        yield f"Board '{truth.targets[t]}'" if len(equipment.prints) > 1 else "Board", text
+        middle = truth.T_tip_target[t] @ np.append(board.centre, 1.0)
+        yield "  mounted", f"its middle at {point_mm(middle[:3])} mm in {truth.target_links[t]}"
 
     yield "Noise of a corner", f"{pictures.sigma:g} px along u and along v, in a table (-o)"
     if scenario.noise is not None and scenario.noise.repeatability:

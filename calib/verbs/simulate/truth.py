@@ -9,7 +9,7 @@ the payload at the joint values that are read, as in a fit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +21,16 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, read_only, rigid_inverse
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
-from calib.data.columns import DEFAULT_TARGET
+from calib.data.cell_chains import chain_numbers, links_of, named_stations, named_targets
 from calib.errors import CalibError, ModelError, choices
-from calib.model.error_model import ErrorModel
+from calib.model.error_model import MOUNT, ErrorModel
 from calib.model.families import FAMILIES, unit_of
 from calib.model.frozen import frozen_parameters
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameter_sets import error_model, split_name
 from calib.numerics.moves import last_moves
 from calib.robot.gravity import Payload, gravity_loads
+from calib.robot.joined_urdf import path_of_robot
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
@@ -50,8 +51,15 @@ _DISTANCE = 3.0
 #: Least and greatest height of the tracker of a drawn station [m].
 _HEIGHTS = (-0.5, 1.0)
 
+#: Distance of an instrument from the moving link that it is drawn on [m].
+_ON_LINK = 0.1
+
 #: Standard deviation of its tilt about each horizontal axis [rad].
 _TILT = 0.01
+
+#: Standard deviation of the stated place of a further robot, by tape measure and by eye, along and about each axis [m
+#: and rad].
+MOUNT_ERROR = 10e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +89,18 @@ class Truth(Value):
     payload: Payload | None
     #: Shape (3,), acceleration in the URDF's root [m/s^2]
     gravity: Array
+    #: Link of each frame; empty: the base for all
+    frame_links: tuple[str, ...] = ()
+    #: Link of each target; empty: the tip for all
+    target_links: tuple[str, ...] = ()
+
+    @property
+    def sights(self) -> Mapping[tuple[int, int], int]:
+        """The chain, by its number, through which a frame sees a target, by the numbers of both."""
+        robot = self.nominal
+        bases = self.frame_links or (robot.base,) * len(self.groups)
+        tips = self.target_links or (robot.tip,) * len(self.targets)
+        return chain_numbers(robot, bases, tips)
 
     @property
     def robot(self) -> Robot:
@@ -90,7 +110,8 @@ class Truth(Value):
     def write_urdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the URDF of the true geometry, after reading it back with Pinocchio and yourdfpy.
 
-        It has no verdict, because that of the nominal URDF is on another geometry.
+        It has no verdict, because that of the nominal URDF is on another geometry. Of several robots each has a URDF of
+        its own beside it too, as `calib.robot.joined_urdf.path_of_robot` names them.
 
         Args:
             path: The file.
@@ -104,22 +125,28 @@ class Truth(Value):
         """
         robot = self.robot
         q = random_joint_values(robot)
-        check_written(robot, robot.poses(q), q, self.nominal)
+        expected = np.concatenate([chain.poses(q) for chain in robot.chains])
+        check_written(robot, expected, q, self.nominal)
         # Run and verdict in the nominal URDF are of another geometry.
         urdf = robot.urdf.with_comments(run="", verdict="")
+        if robot.parts:
+            for name, own in robot.own_urdfs().items():
+                described = own.with_comments(run="", verdict="")
+                described.write(path_of_robot(path, name), overwrite=overwrite)
         return urdf.write(path, overwrite=overwrite)
 
     def value(self, name: str) -> float:
         """Return the value of one error, in its unit; raises `ModelError` if the model does not have it."""
         return float(self.x[self.model.index(name)])
 
-    def tip_poses(self, q: ArrayLike, moves: Array | None = None) -> Array:
+    def tip_poses(self, q: ArrayLike, moves: Array | None = None, chain: int = 0) -> Array:
         """Compute the true T_base_tip, with all errors of the robot, shape (N, 4, 4), [m].
 
         Args:
             q: Joint values as exact encoders read them, shape (N, m) or (m,), [rad] or [m].
             moves: Last move of each joint before each row, shape (N, m), [rad] or [m]; None: the robot goes from each
                 row to the next.
+            chain: Number of the chain whose base and tip are meant, in ``nominal.chains``.
         """
         robot, x, load = self.nominal, self.x, None
         if self.given is not None:
@@ -128,7 +155,8 @@ class Truth(Value):
         if any(term.factor and term.factor.loaded for term in self.model.terms):
             load = gravity_loads(self.nominal, q, self.payload, self.gravity)
         kinematics = Kinematics(robot, self.model, np.eye(4), np.eye(4))
-        return kinematics.poses(x, Samples.at(q, load, last_moves(q) if moves is None else moves))
+        samples = Samples.at(q, load, last_moves(q) if moves is None else moves)
+        return kinematics.poses(x, replace(samples, chain=np.full(len(samples), chain)))
 
     def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
         """Compute the true T_frame_target, shape (N, 4, 4), [m].
@@ -140,27 +168,39 @@ class Truth(Value):
         """
         t = 0 if target is None else self.targets.index(target)
         g = 0 if group is None else self.groups.index(group)
-        T: Array = self.T_frame_base[g] @ self.tip_poses(q) @ self.T_tip_target[t]
-        return T
+        T: Array = self.T_frame_base[g] @ self.tip_poses(q, chain=self._chain(g, t))
+        return np.asarray(T @ self.T_tip_target[t])
 
     def points(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
         """Compute the true positions of a target in a frame, shape (N, 3), [m]; see `poses`."""
         return self.poses(q, target, group)[:, :3, 3]
 
-    def nominal_errors(self, q: ArrayLike) -> Array:
-        """Compute how far the nominal robot has the first target from where the true robot has it.
+    def nominal_errors(self, q: ArrayLike, target: int = 0, frame: int = 0) -> Array:
+        """Compute how far the nominal robot has a target from where the true robot has it.
 
         The target's place in the tip is the true one, and both positions are in the base, so that errors of the target
         and of the frame do not count.
 
         Args:
             q: Joint values as exact encoders read them, shape (N, m), [rad] or [m].
+            target: Number of the target, from 0.
+            frame: Number of the frame, whose link is the base, from 0.
 
         Returns:
             Distances, shape (N,), [m].
         """
-        difference = (self.tip_poses(q) - self.nominal.poses(q)) @ self.T_tip_target[0]
+        chain = self._chain(frame, target)
+        difference = self.tip_poses(q, chain=chain) - self.nominal.chains[chain].poses(q)
+        difference = difference @ self.T_tip_target[target]
         return np.asarray(np.linalg.norm(difference[:, :3, 3], axis=1))
+
+    def _chain(self, frame: int, target: int) -> int:
+        """Return the number of the chain between frame and target; ModelError if nothing moves between them."""
+        if (frame, target) not in self.sights:
+            raise ModelError(
+                f"No joint moves the target '{self.targets[target]}' against the frame '{self.groups[frame]}'."
+            )
+        return self.sights[frame, target]
 
 
 def draw_truth(
@@ -207,26 +247,44 @@ def draw_truth(
         if stated_twice:
             raise ModelError(f"The true robot has the errors {choices(stated_twice)} already.")
         true_robot, placement_errors = _compare_placements(robot, true_robot)
-        given |= placement_errors
+        given |= placement_errors | {
+            p.name: 0.0 for p in all_errors.parameters if p.family == MOUNT
+        }
     # A cell may be made for a fit of another model: ties and frozen parameters that only that model has do not count.
     ties = {name: tie for name, tie in cell.ties.items() if name in free and tie[0] in free}
     frozen = frozen_parameters(robot, all_errors.parameters, cell.frozen)
     frozen = tuple(name for name in frozen if name in free and name in all_errors.names)
     drawn_model = all_errors.tied(ties).without(frozen)
-    groups, T_frame_base = _draw_frames(cell, seed)
-    targets, stated, true = _draw_targets(cell, seed, target_error)
+    images = cell.kind is not None and registry.get(cell.kind).is_image
+    groups = named_stations(cell, images=images)
+    targets = named_targets(cell, images=images)
+    frame_links, target_links = links_of(cell, robot, groups, targets)
+    stated, true = _draw_targets(cell, targets, seed, target_error)
+    sights = chain_numbers(robot, frame_links, target_links)
+    for k, what, names, links in (
+        (0, "station", groups, frame_links),
+        (1, "target", targets, target_links),
+    ):
+        for number, (name, link) in enumerate(zip(names, links, strict=True)):
+            if not any(sight[k] == number for sight in sights):
+                raise ModelError(
+                    f"The {what} '{name}' on '{link}' is of no use: no joint moves any "
+                    f"{'target' if k == 0 else 'station'} against it. Put it on another link, or leave it out."
+                )
     return Truth(
         nominal=robot,
         model=drawn_model,
         x=_draw_errors(drawn_model, sizes, seed, cell, given),
         given=true_robot,
         groups=groups,
-        T_frame_base=T_frame_base,
+        T_frame_base=_draw_frames(robot, cell, groups, frame_links, seed),
         targets=targets,
         T_tip_target=true,
         stated_T_tip_target=stated,
         payload=cell.payload,
         gravity=cell.gravity,
+        frame_links=frame_links,
+        target_links=target_links,
     )
 
 
@@ -270,6 +328,8 @@ def _draw_errors(
     for k, parameter in enumerate(model.parameters):
         if parameter.name in given:
             x[k] = given[parameter.name]
+        elif sizes is not None and parameter.family == MOUNT:
+            x[k] = cell.parameter_priors.get(parameter.name, MOUNT_ERROR) * unit_normal[k]
         elif sizes is not None:
             family = FAMILIES[parameter.family]
             size = sizes.get(family.name, family.typical)
@@ -295,7 +355,7 @@ def _compare_placements(nominal: Robot, true: Robot) -> tuple[Robot, dict[str, f
     differ, it raises `ModelError`; the true robot's URDF may differ in other ways.
     """
     axes = [
-        [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.joints]
+        [(joint.name, joint.type, *np.round(joint.axis, 9)) for joint in robot.all_joints]
         for robot in (nominal, true)
     ]
     if true.joint_names != nominal.joint_names or axes[0] != axes[1]:
@@ -303,36 +363,46 @@ def _compare_placements(nominal: Robot, true: Robot) -> tuple[Robot, dict[str, f
             f"The true robot '{true.urdf.source}' has other joints, types or axes between "
             f"'{true.base}' and '{true.tip}' than the nominal robot; they must be the same."
         )
-    placements = true.placements.copy()
-    placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
-    matched = nominal.with_placements(placements)
+    matched_limbs = []
+    for limb, true_limb in zip(nominal.limbs, true.limbs, strict=True):
+        placements = true_limb.placements.copy()
+        placements[0] = limb.T_root_base @ rigid_inverse(true_limb.T_root_base) @ placements[0]
+        matched_limbs.append(placements)
+    matched = nominal.with_limbs(matched_limbs)
 
     errors: dict[str, float] = {}
-    for i, joint in enumerate(nominal.joints):
-        if nominal.carriers[i] is None:
-            continue
-        T_nominal_true = rigid_inverse(nominal.placements[i]) @ matched.placements[i]
-        angles = Rotation.from_matrix(T_nominal_true[:3, :3]).as_euler("XYZ")
-        names = [f"{joint.name}.{direction}" for direction in ("x", "y", "z", "rx", "ry", "rz")]
-        values = map(float, (*T_nominal_true[:3, 3], *angles))
-        errors |= dict(zip(names, values, strict=True))
+    for limb, matched_limb in zip(nominal.limbs, matched.limbs, strict=True):
+        for i, joint in enumerate(limb.joints):
+            if limb.carriers[i] is None:
+                continue
+            T_nominal_true = rigid_inverse(limb.placements[i]) @ matched_limb.placements[i]
+            angles = Rotation.from_matrix(T_nominal_true[:3, :3]).as_euler("XYZ")
+            names = [f"{joint.name}.{direction}" for direction in ("x", "y", "z", "rx", "ry", "rz")]
+            values = map(float, (*T_nominal_true[:3, 3], *angles))
+            errors |= dict(zip(names, values, strict=True))
     return matched, errors
 
 
-def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
-    """Return names of F stations and T_frame_base of each, (F, 4, 4) [m]: as given, drawn, or the identity.
+def _draw_frames(
+    robot: Robot, cell: Cell, groups: tuple[str, ...], links: tuple[str, ...], seed: int
+) -> Array:
+    """Return T_frame_base of F stations on their links, (F, 4, 4) [m]: as given, drawn, or the identity.
 
-    One is drawn if it is not given and the cell estimates it, or its kind of measurement has a frame of its own.
+    One is drawn if it is not given and the cell estimates it, or its kind of measurement has a frame of its own: within
+    reach of a link that moves if the cell names that link, else beside the robot.
     """
-    groups = tuple(cell.frames) or ("",)
     has_own_frame = cell.kind is not None and registry.get(cell.kind).own_frame
+    moving = {joint.name for joint in robot.all_joints}
     rng = stream(seed, "frames")
     frames = []
-    for group in groups:
+    for group, link in zip(groups, links, strict=True):
         angle = rng.uniform(-np.pi, np.pi)
         height = rng.uniform(*_HEIGHTS)
         position = np.array([_DISTANCE * np.cos(angle), _DISTANCE * np.sin(angle), height])
-        if cell.tracker is not None:
+        _, from_root = robot.urdf.chain(robot.urdf.root, link)
+        if group in cell.bases and moving.intersection(from_root):
+            position *= _ON_LINK / np.linalg.norm(position)
+        elif cell.tracker is not None:
             position = cell.tracker.position
         # Drawn even if a pose is given, so that the random numbers of the next group do not depend on it.
         drawn = tracker_pose(position, rng)
@@ -343,17 +413,16 @@ def _draw_frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
             frames.append(drawn)
         else:
             frames.append(np.eye(4))
-    return groups, read_only(frames)
+    return read_only(frames)
 
 
 def _draw_targets(
-    cell: Cell, seed: int, position_std: float
-) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names of T targets, their stated poses in the tip, (T, 4, 4) [m], and true ones drawn around these.
+    cell: Cell, names: tuple[str, ...], seed: int, position_std: float
+) -> tuple[Array, Array]:
+    """Return stated poses of T targets in their tips, (T, 4, 4) [m], and true ones drawn around these.
 
     With known targets, or a standard deviation of 0 [m], the true poses are the stated ones.
     """
-    names = tuple(cell.targets) or (DEFAULT_TARGET,)
     rng = stream(seed, "targets")
     stated = np.tile(np.eye(4), (len(names), 1, 1))
     true = stated.copy()
@@ -367,4 +436,4 @@ def _draw_targets(
         if cell.estimate_target and position_std > 0.0:
             true[t, :3, 3] += position_std * displacement
             true[t, :3, :3] = stated[t, :3, :3] @ pin.exp3(TARGET_TURN * turn)
-    return names, read_only(stated), read_only(true)
+    return read_only(stated), read_only(true)

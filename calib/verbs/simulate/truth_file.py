@@ -15,6 +15,7 @@ import pinocchio as pin
 from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
 from calib.basics.json_files import json_bytes
+from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.robot.coupled_readings import coupling_table
 from calib.verbs.simulate.equipment import Equipment
@@ -62,7 +63,7 @@ def write_truth(
     if simulated.pictures is None:
         content |= _tracker_tables(scenario, simulated)
     else:
-        content["parameters"] += _equipment_errors(simulated.pictures.equipment)
+        content["parameters"] += _equipment_errors(simulated.truth, simulated.pictures.equipment)
         content |= _camera_tables(scenario, simulated, simulated.pictures)
     return write_atomically(path, json_bytes(content), overwrite=overwrite)
 
@@ -86,14 +87,18 @@ def truth_table(truth: Truth) -> dict[str, Any]:
             }
         )
     parameters = zip(model.parameters, truth.x, strict=True)
-    targets = zip(truth.targets, truth.T_tip_target, truth.stated_T_tip_target, strict=True)
-    frames = zip(truth.groups, truth.T_frame_base, strict=True)
+    tips = truth.target_links or (robot.tip,) * len(truth.targets)
+    bases = truth.frame_links or (robot.base,) * len(truth.groups)
+    poses = zip(truth.T_tip_target, truth.stated_T_tip_target, strict=True)
+    targets = zip(truth.targets, tips, poses, strict=True)
+    frames = zip(truth.groups, bases, truth.T_frame_base, strict=True)
     return {
         "robot": {
             "name": robot.name,
             "urdf_sha256": robot.urdf.sha256,
             "base": robot.base,
             "tip": robot.tip,
+            "chains": [{"base": chain.base, "tip": chain.tip} for chain in robot.chains],
             "joints": robot.joint_names,
             "held": [{"joint": name, "value": q} for name, q in sorted(robot.held.items())],
             "coupling": coupling_table(robot.reading_coupling),
@@ -105,10 +110,13 @@ def truth_table(truth: Truth) -> dict[str, Any]:
             {"joint": name, **_pose_table(T)} for name, T in sorted(truth.robot.origins().items())
         ],
         "targets": [
-            {"target": name, **_pose_table(true), **_pose_table(stated, "said_")}
-            for name, true, stated in targets
+            {"target": name, "link": link, **_pose_table(true), **_pose_table(stated, "said_")}
+            for name, link, (true, stated) in targets
         ],
-        "set_ups": [{"group": name, **_pose_table(T, "frame_base_")} for name, T in frames],
+        "set_ups": [
+            {"group": name, "link": link, **_pose_table(T, "frame_base_")}
+            for name, link, T in frames
+        ],
         "payload": payload and {"mass_kg": payload.mass, "com_m": payload.com},
         "gravity_m_s2": truth.gravity,
     }
@@ -162,25 +170,33 @@ def _tracker_tables(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
 # Pictures
 
 
-def _equipment_errors(equipment: Equipment) -> list[dict[str, Any]]:
-    """Return name, unit and value of each error of the camera's numbers, true less stated, and of the print.
+def _equipment_errors(truth: Truth, equipment: Equipment) -> list[dict[str, Any]]:
+    """Return name, unit and value of each error of the cameras' numbers, true less stated, and of the prints.
 
-    Without stated numbers of the camera there are none of it.
+    Without stated numbers of a camera there are none of it. Of several, the name ends with that of camera or board.
     """
-    lens = LENSES[equipment.camera.lens]
-    true, stated = equipment.camera.values, equipment.stated.values
     errors = []
-    if true is not None and stated is not None:
-        for name, unit, error in zip(lens.names, lens.units, true - stated, strict=True):
-            errors.append({"name": name, "unit": unit, "value": float(error)})
-    printed = equipment.printed
-    for axis, scale, sag in zip("xy", printed.scale, printed.warp, strict=True):
-        errors.append({"name": f"board_scale_{axis}", "unit": "1", "value": scale - 1.0})
-        errors.append({"name": f"board_sag_{axis}", "unit": "m", "value": sag})
-    if printed.offsets is not None:
-        for corner, offset in enumerate(printed.offsets.tolist()):
-            for axis, value in zip("xy", offset, strict=False):
-                errors.append({"name": f"corner_{corner}_{axis}", "unit": "m", "value": value})
+    for name, stated, camera in zip(
+        truth.groups, equipment.stated_cameras, equipment.cameras, strict=True
+    ):
+        owner = f"[{name}]" if len(truth.groups) > 1 else ""
+        lens = LENSES[camera.lens]
+        if camera.values is None or stated.values is None:
+            continue
+        for of_lens, unit, error in zip(
+            lens.names, lens.units, camera.values - stated.values, strict=True
+        ):
+            errors.append({"name": of_lens + owner, "unit": unit, "value": float(error)})
+    for name, printed in zip(truth.targets, equipment.prints, strict=True):
+        owner = f"[{name}]" if len(truth.targets) > 1 else ""
+        for axis, scale, sag in zip("xy", printed.scale, printed.warp, strict=True):
+            errors.append({"name": f"board_scale_{axis}{owner}", "unit": "1", "value": scale - 1.0})
+            errors.append({"name": f"board_sag_{axis}{owner}", "unit": "m", "value": sag})
+        if printed.offsets is not None:
+            for corner, offset in enumerate(printed.offsets.tolist()):
+                for axis, value in zip("xy", offset, strict=False):
+                    of_corner = f"corner_{corner}_{axis}{owner}"
+                    errors.append({"name": of_corner, "unit": "m", "value": value})
     return errors
 
 
@@ -189,13 +205,7 @@ def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures)
 
     Values are in SI units, and pixels are the true ones, without noise.
     """
-    camera, stated = pictures.equipment.camera, pictures.equipment.stated
-    printed, board = pictures.equipment.printed, pictures.equipment.printed.board
-    names = LENSES[camera.lens].names
-    assert camera.values is not None
-    said = None
-    if stated.values is not None:
-        said = dict(zip(names, stated.values.tolist(), strict=True))
+    truth, equipment = simulated.truth, pictures.equipment
     outliers = [
         {"row": row, "displacement_px": simulated.outliers[row - 1]}
         for row in simulated.outlier_rows
@@ -207,6 +217,8 @@ def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures)
         each_picture.append(
             {
                 "image": image,
+                "group": truth.groups[pictures.camera[k]],
+                "board": truth.targets[pictures.board[k]],
                 "set": set_name,
                 "joints": q,
                 **_pose_table(T, "camera_board_"),
@@ -214,28 +226,24 @@ def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures)
                 "pixels": pictures.true_pixels[is_here],
             }
         )
+    stated_and_true = zip(equipment.stated_cameras, equipment.cameras, strict=True)
     return {
         "cameras": [
-            {
-                "camera": camera.name,
-                "width_px": camera.width,
-                "height_px": camera.height,
-                "lens": camera.lens,
-                "values": dict(zip(names, camera.values.tolist(), strict=True)),
-                "said_values": said,
-            }
+            _camera_table(group or camera.name, stated, camera)
+            for group, (stated, camera) in zip(truth.groups, stated_and_true, strict=True)
         ],
         "boards": [
             {
-                "board": board.name,
-                "pattern": board.pattern,
-                "columns": board.columns,
-                "rows": board.rows,
-                "said_square_m": board.square,
+                "board": name,
+                "pattern": printed.board.pattern,
+                "columns": printed.board.columns,
+                "rows": printed.board.rows,
+                "said_square_m": printed.board.square,
                 "scale": printed.scale,
                 "sag_m": printed.warp,
                 "corners_m": printed.corners,
             }
+            for name, printed in zip(truth.targets, equipment.prints, strict=True)
         ],
         "instrument": {
             "kind": scenario.kind.name,
@@ -246,4 +254,21 @@ def _camera_tables(scenario: Scenario, simulated: Simulated, pictures: Pictures)
         },
         "events": {"outliers": outliers},
         "pictures": each_picture,
+    }
+
+
+def _camera_table(name: str, stated: Camera, camera: Camera) -> dict[str, Any]:
+    """Return the table of a camera: size and lens, its true numbers, and the stated ones."""
+    names = LENSES[camera.lens].names
+    assert camera.values is not None
+    said = None
+    if stated.values is not None:
+        said = dict(zip(names, stated.values.tolist(), strict=True))
+    return {
+        "camera": name,
+        "width_px": camera.width,
+        "height_px": camera.height,
+        "lens": camera.lens,
+        "values": dict(zip(names, camera.values.tolist(), strict=True)),
+        "said_values": said,
     }

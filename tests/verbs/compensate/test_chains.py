@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calib.data.cell import Cell
 from calib.errors import ModelError
+from calib.result.calibrate import calibrate
+from calib.robot.ranges import random_joint_values
+from calib.verbs.compensate.compensate import compensate
+from calib.verbs.compensate.expected import expected_errors
 from calib.verbs.compensate.nominal_actual import chain_of_hand, pair_of
+from calib.verbs.compensate.robot_program import Program
+from calib.verbs.simulate.scenario import Scenario, simulate
 from tests.two_handed import JOINTS, fitted
 
 
@@ -37,3 +46,73 @@ def test_a_tool_on_the_other_hand_is_refused():
     left = c.nominal.rebuilt(None, "panda_link0", "panda_link8")
     with pytest.raises(ModelError, match="'b' is on 'right/panda_link8', but the chain ends at"):
         pair_of(c, left, tool="b")
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    """Two hands of TIAGo with one torso, simulated and fitted, and the truth."""
+    cell = Cell(
+        estimate_frame=True,
+        tips={"left": "arm_left_7_link", "right": "arm_right_7_link"},
+        model="placement",
+    )
+    made = simulate(Scenario("tiago_dual", cell), 40, 0, seed=4)
+    result = calibrate("tiago_dual", made.measurements, cell=cell)
+    return result, made.truth
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hand", ["left", "right"])
+def test_the_expected_error_of_a_hand_is_what_its_commands_leave(simulated, hand):
+    result, truth = simulated
+    tip = f"arm_{hand}_7_link"
+    arm = result.nominal.rebuilt(None, "base_footprint", tip)
+    q = random_joint_values(arm, 60, seed=5)
+    program = Program.of_joints(q)
+    for frame in (None, ""):
+        commands = compensate(result, program, nominal=arm, tool=hand, frame=frame)
+        assert commands.expected is not None
+        done = commands.reached
+        whole = np.zeros((int(done.sum()), len(result.nominal.joint_names)))
+        columns = [result.nominal.joint_names.index(name) for name in arm.joint_names]
+        whole[:, columns] = commands.q[done]
+        t = truth.targets.index(hand)
+        arrived = truth.tip_poses(whole, chain=t) @ truth.T_tip_target[t]
+        if frame is not None:
+            arrived = truth.T_frame_base[0] @ arrived
+        wanted = commands.T_wanted[done]
+        error = np.linalg.norm((arrived - wanted)[:, :3, 3], axis=1)
+        low, high = commands.expected.band
+        assert 0.4 * low < error.mean() < 2.5 * high
+        if frame is not None:  # in the measured frame no base is unknown
+            assert commands.expected.mean < 0.15e-3
+            assert set(commands.expected.contributions) >= {"parameters", "poses"}
+            assert commands.expected.contributions["base"] == 0.0
+
+
+def test_expected_errors_count_the_commanded_chain_and_no_other():
+    """Another covariance of the right hand's own parameters changes what is expected of it, and not of the left."""
+    c = fitted()
+    q = np.array([[0.3, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4], [0.1, 0.4, -0.3, -1.2, 0.6, 1.1, -0.4]])
+    before = {tool: expected_errors(pair_of(c, tool=tool, frame="t1"), q).mean for tool in "ab"}
+    part = c.geometry
+    right = np.array([name.startswith("right/") for name in part.model.names])
+    less = np.where(right, 0.1, 1.0)
+    known = replace(part, covariance=part.covariance * np.outer(less, less))
+    after_result = replace(c, geometry=known)
+    after = {
+        tool: expected_errors(pair_of(after_result, tool=tool, frame="t1"), q).mean for tool in "ab"
+    }
+    assert after["a"] == pytest.approx(before["a"], rel=1e-9)
+    assert abs(after["b"] / before["b"] - 1.0) > 0.1
+
+
+def test_only_joints_of_the_commanded_hand_are_warned_of():
+    c = fitted()
+    beyond = np.array([[2.8, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4]])
+    pair = pair_of(c, tool="b")
+    whole = pair.of_all_joints(beyond)
+    np.testing.assert_array_equal(whole[:, 7:], beyond)
+    commands = compensate(c, Program.of_joints(beyond), tool="b", accept=True)
+    joints = {warning.joint for row in commands.warnings for warning in row}
+    assert not {name for name in joints if name in JOINTS}

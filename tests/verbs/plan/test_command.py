@@ -176,7 +176,7 @@ def test_options_of_images():
 
 
 def test_camera_and_board_are_put_into_the_cell():
-    options = ImageOptions(camera_at="0 60 30 mm 0 0 90 deg", board_at="1 2 3 mm 0 0 90 deg")
+    options = ImageOptions(camera_at=["0 60 30 mm 0 0 90 deg"], board_at="1 2 3 mm 0 0 90 deg")
     cell = Cell(cameras={"": Camera(width=640, height=480)})
     placed = options.in_cell(cell)
     np.testing.assert_allclose(np.linalg.inv(placed.T_frame_base)[:3, 3], [0.0, 0.06, 0.03])
@@ -193,11 +193,21 @@ def test_camera_and_board_are_put_into_the_cell():
     assert options.in_cell(without) is without
 
 
+def test_each_of_several_cameras_is_put_where_its_name_says():
+    cell = Cell(cameras={name: Camera(width=640, height=480) for name in ("wall", "wrist")})
+    placed = ImageOptions(camera_at=["0 0 9 mm", "wrist=0 60 30 mm"]).in_cell(cell)
+    np.testing.assert_allclose(np.linalg.inv(placed.frames["wrist"])[:3, 3], [0.0, 0.06, 0.03])
+    assert list(placed.frames) == ["wrist"]  # that of the other is the one without a name
+    np.testing.assert_allclose(np.linalg.inv(placed.T_frame_base)[:3, 3], [0.0, 0.0, 0.009])
+    with pytest.raises(CalibError, match=r"--camera-at head=0 0 9 mm.*'wall', 'wrist'"):
+        ImageOptions(camera_at=["head=0 0 9 mm"]).in_cell(cell)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda cell: ImageOptions(board_at="here").in_cell(cell), "--board-at"),
-        (lambda cell: ImageOptions(camera_at="here").in_cell(cell), "--camera-at"),
+        (lambda cell: ImageOptions(camera_at=["here"]).in_cell(cell), "--camera-at"),
         (lambda _: ImageOptions(distance="3 mm").limits(), "--distance"),
         (lambda _: ImageOptions(tilt="40").limits(), "--tilt"),
     ],

@@ -60,7 +60,7 @@ def sensitivity(precision: np.ndarray | None = None) -> Linear:
     return Linear(
         names=NAMES,
         units=UNITS,
-        measured=lambda q, _moves=None: jacobian(q) / noise(q)[:, None, None],
+        measured=lambda q, _moves=None, _seen=None: jacobian(q) / noise(q)[:, None, None],
         located=jacobian,
         noise=noise,
         precision=1.0 / TAU**2 if precision is None else precision,

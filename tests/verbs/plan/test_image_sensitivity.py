@@ -16,7 +16,7 @@ from calib.instruments.camera import SightLimits
 from calib.instruments.tracker import TrackerInstrument
 from calib.model.kinematics import Samples
 from calib.robot.ranges import random_joint_values
-from calib.verbs.plan.sensitivity import Sensitivity, instrument_of
+from calib.verbs.plan.sensitivity import Sensitivity, View, instrument_of
 from tests.instruments.scenes import BOARD, CAMERA, SIZE, at_places, in_hand
 from tests.verbs.plan.test_pose_candidates import drawn
 
@@ -106,7 +106,7 @@ def test_corners_outside_of_the_image_do_not_count():
     T = sightline.target_poses(poses()[:1])
     visible = half.visible(T, BOARD.corners)[0]
     narrow = replace(half, camera=replace(half.camera, width=700))
-    fewer = replace(sensitivity, instrument=narrow)
+    fewer = replace(sensitivity, views=(View(narrow, 0, (0,)),))
     in_narrow = narrow.visible(T, BOARD.corners)[0]
     assert 0 < in_narrow.sum() < visible.sum()
     J = derivative(lambda x: images_at(sensitivity, x, poses()[0]), len(sensitivity.names))

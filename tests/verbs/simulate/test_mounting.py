@@ -11,12 +11,14 @@ from scipy.spatial.transform import Rotation
 from calib.boards.printed import Print
 from calib.errors import CalibError
 from calib.robot.dh_rows import DHRow
+from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 from calib.verbs.simulate.mounting import (
     board_in_workspace,
     board_on_flange,
     camera_beside,
     camera_on_flange,
+    camera_towards,
     draw_scene,
     frame_along,
     moving_sides,
@@ -128,10 +130,21 @@ def test_the_chain_says_what_the_robot_moves():
     assert moving_sides(Robot.load("ur5", base="base_link", tip="tool0")) == (False, True)
 
 
-def test_a_moved_camera_and_a_moved_board_are_to_be_stated():
+def test_a_camera_on_a_head_looks_to_where_the_hand_mostly_is():
+    robot = Robot.load("tiago", base="head_2_link", tip="wrist_ft_tool_link")
+    T_head_camera = camera_towards(robot, np.random.default_rng(0))
+    hands = robot.poses(spread_poses(robot))[:, :3, 3]
+    directions = hands / np.linalg.norm(hands, axis=1, keepdims=True)
+    mean = directions.mean(axis=0) / np.linalg.norm(directions.mean(axis=0))
+    assert T_head_camera[:3, 2] @ mean > np.cos(np.radians(25.0))  # 15 deg about each axis at most
+    assert np.linalg.norm(T_head_camera[:3, 3]) < 0.13
+
+
+def test_a_camera_on_one_of_two_flanges_looks_outward():
     both = Robot.load("baxter", base="left_wrist", tip="right_wrist")
-    with pytest.raises(CalibError, match=r"left_wrist.*right_wrist"):
-        draw_scene(both, CAMERA, Print(BOARD), seed=0)
+    T = camera_towards(both, np.random.default_rng(0))
+    arm = Robot.load("baxter", base="right_wrist", tip="left_wrist")
+    np.testing.assert_array_equal(T, camera_on_flange(arm, np.random.default_rng(0)))
 
 
 @pytest.mark.slow

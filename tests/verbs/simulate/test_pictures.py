@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.boards.project import corner_pixels
 from calib.camera.lenses import LENSES
 from calib.camera.optics import across
 from calib.data.cell import Cell, TrackerNoise
@@ -119,9 +120,27 @@ def test_without_a_camera_and_a_board_usual_ones_are_taken(scenario):
     equipment = replace(scenario, cell=Cell(kind="pixel")).draw(3).equipment
     np.testing.assert_array_equal(equipment.stated.values, usual_camera().values)
     assert equipment.printed.board.square == pytest.approx(0.036, abs=0.004)
+
+
+def test_two_cameras_on_one_link_both_take_a_picture_of_the_board_at_each_pose(scenario):
     several = Cell(kind="pixel", cameras={"left": CAMERA, "right": CAMERA})
-    with pytest.raises(CalibError, match="left"):
-        replace(scenario, cell=several).draw(3)
+    made = simulate(replace(scenario, cell=several), 4, 0, seed=3)
+    table, (left, right) = made.measurements, made.pictures.equipment.cameras
+    assert made.truth.groups == ("left", "right")
+    assert np.abs(left.values - right.values).max() > 0.1
+    assert set(zip(table.groups, table.images, strict=True)) >= {
+        ("left", "left_01.png"),
+        ("right", "right_02.png"),  # each has its share of the poses
+    }
+    for group, camera in (("left", left), ("right", right)):
+        rows = np.flatnonzero(np.array(table.groups) == group)
+        pixels = np.column_stack([table.readings["u"], table.readings["v"]])[rows]
+        corners = made.pictures.equipment.printed.corners[[int(table.corners[k]) for k in rows]]
+        expected = []
+        for T, corner in zip(made.T_frame_target[rows], corners, strict=True):
+            drawn, _ = corner_pixels(camera, corner[None], T[None])
+            expected.append(drawn[0, 0])
+        assert np.abs(pixels - expected).max() < 5.0 * 0.3 + 0.5  # noise, repeatability
 
 
 def test_what_pictures_do_not_have_is_refused(scenario):
