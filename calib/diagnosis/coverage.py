@@ -324,9 +324,13 @@ def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
     spreads = []
     for number, chain in enumerate(robot.chains):
         of_chain = rows.select(weighted).samples.rows_of_chain(number)
-        if len(of_chain):
-            possible_tips = chain.poses(spread_poses(robot))[:, :3, 3]
-            spreads.append(spread_of(chain.poses(q[of_chain])[:, :3, 3], possible_tips))
+        if not len(of_chain):
+            continue
+        for arm in _arms(robot, chain):
+            columns = [robot.joint_names.index(name) for name in arm.joint_names]
+            possible_tips = arm.poses(spread_poses(robot)[:, columns])[:, :3, 3]
+            tips = arm.poses(q[of_chain][:, columns])[:, :3, 3]
+            spreads.append(spread_of(tips, possible_tips))
     spread = min(spreads, default=0.0)
     values = robot.input_values(q)
     shares = shares_of_ranges(values, column_ranges(robot), [j.type for j in robot.inputs])
@@ -346,6 +350,19 @@ def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
         highs=[float(values[:, j].max()) for j in narrow],
         slides=[robot.inputs[j].type == "prismatic" for j in narrow],
     )
+
+
+def _arms(robot: Robot, chain: Robot) -> list[Robot]:
+    """Return a chain, or its two arms, from the link where they part, if it leads from one hand to another.
+
+    Hands that touch, or see each other, hardly move in one another: the way of each in the robot counts.
+    """
+    urdf = robot.urdf
+    ways = urdf.chain(chain.base, chain.tip)
+    if any(all(urdf.joint(name).type == "fixed" for name in way) for way in ways):
+        return [chain]
+    parting = urdf.joint(ways[0][0]).parent
+    return [robot.rebuilt(None, parting, link) for link in (chain.base, chain.tip)]
 
 
 def spread_of(tips: Array, everywhere: Array) -> float:
