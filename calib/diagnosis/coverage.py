@@ -326,7 +326,8 @@ def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
         of_chain = rows.select(weighted).samples.rows_of_chain(number)
         if not len(of_chain):
             continue
-        for arm in _arms(robot, chain):
+        # Hands that touch, or see each other, hardly move in one another: the way of each in the robot counts.
+        for arm in chain.arms:
             columns = [robot.joint_names.index(name) for name in arm.joint_names]
             possible_tips = arm.poses(spread_poses(robot)[:, columns])[:, :3, 3]
             tips = arm.poses(q[of_chain][:, columns])[:, :3, 3]
@@ -350,19 +351,6 @@ def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
         highs=[float(values[:, j].max()) for j in narrow],
         slides=[robot.inputs[j].type == "prismatic" for j in narrow],
     )
-
-
-def _arms(robot: Robot, chain: Robot) -> list[Robot]:
-    """Return a chain, or its two arms, from the link where they part, if it leads from one hand to another.
-
-    Hands that touch, or see each other, hardly move in one another: the way of each in the robot counts.
-    """
-    urdf = robot.urdf
-    ways = urdf.chain(chain.base, chain.tip)
-    if any(all(urdf.joint(name).type == "fixed" for name in way) for way in ways):
-        return [chain]
-    parting = urdf.joint(ways[0][0]).parent
-    return [robot.rebuilt(None, parting, link) for link in (chain.base, chain.tip)]
 
 
 def spread_of(tips: Array, everywhere: Array) -> float:
