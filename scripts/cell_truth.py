@@ -57,6 +57,8 @@ class TrueCell:
     joints: list[str] = field(init=False)
     #: For each camera that is aimed the posture at which it is, (n,).
     _postures: dict[str, Array] = field(init=False, default_factory=dict)
+    #: Pinocchio's memory of the true and of the nominal robot, which takes long to make.
+    _data: tuple[pin.Data, pin.Data] = field(init=False)
 
     def __post_init__(self) -> None:
         """List the joints between the links."""
@@ -64,6 +66,7 @@ class TrueCell:
         common = set.intersection(*supports)
         moving = sorted(set.union(*supports) - common)
         object.__setattr__(self, "joints", [self.true.names[j] for j in moving])
+        object.__setattr__(self, "_data", (self.true.createData(), self.nominal.createData()))
 
     @property
     def links(self) -> list[str]:
@@ -118,10 +121,13 @@ class TrueCell:
     def pose(self, values: Array, frame: str, target: str, *, nominal: bool = False) -> pin.SE3:
         """Return T_frame_target at joint values, (n,)."""
         model = self.nominal if nominal else self.true
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, self.configuration(values))
+        data = self._data[nominal]
+        pin.forwardKinematics(model, data, self.configuration(values))
         (base, T_base_frame), (tip, T_tip_target) = self.frames[frame], self.targets[target]
-        T_base_tip = data.oMf[model.getFrameId(base)].inverse() * data.oMf[model.getFrameId(tip)]
+        ends = [model.getFrameId(link) for link in (base, tip)]
+        T_base_tip = pin.updateFramePlacement(
+            model, data, ends[0]
+        ).inverse() * pin.updateFramePlacement(model, data, ends[1])
         return T_base_frame.inverse() * T_base_tip * T_tip_target
 
     def aimed(self, rng: np.random.Generator, seen: Iterable[tuple[str, str]]) -> TrueCell:
