@@ -48,6 +48,9 @@ JOINT_NOISE = 1e-4
 STOP_NOISE = 1e-3
 OFFSET = 0.02
 
+#: Height of the table that hands lie on, over the link that it stands on [m].
+TABLE = 0.4
+
 #: Poses of each hand.
 POSES = 60
 
@@ -122,12 +125,15 @@ def one_robot(
 
 
 def two_robots(
-    rng: np.random.Generator, frames: Mapping[str, str], targets: Mapping[str, str]
+    rng: np.random.Generator,
+    frames: Mapping[str, str],
+    targets: Mapping[str, str],
+    poses: Mapping[str, pin.SE3] | None = None,
 ) -> TrueCell:
     """Draw a true cell of two Pandas."""
     stated = Cell(robots={"right": FurtherRobot("panda")})
     text = robot_of_cell(read_urdf("panda"), stated).urdf.data.decode()
-    return draw_cell(text, rng, frames, targets, {}, {"right/mount": PLACE})
+    return draw_cell(text, rng, frames, targets, poses or {}, {"right/mount": PLACE})
 
 
 def points_on_hands(robot: str, root: str, rng: np.random.Generator, sigma: float) -> Study:
@@ -203,7 +209,11 @@ def touches(robot: str, root: str, rng: np.random.Generator, place: str) -> Stud
         hands = {"left": "panda_link8", "right": "right/panda_link8"}
         robots = {"right": FurtherRobot("panda")}
     frames = {"tracker": root, place: hands["left"] if place == "socket" else root}
-    truth = two_robots(rng, frames, hands) if robots else one_robot(robot, rng, frames, hands)
+    # A table that both hands reach.
+    table = pin.SE3(pin.exp3(0.2 * rng.standard_normal(3)), np.array([0.4, 0.0, TABLE]))
+    poses = {"plane": table}
+    stands = (rng, frames, hands, poses)
+    truth = two_robots(*stands) if robots else one_robot(robot, *stands)
     points = truth.points(rng, [("tracker", "left"), ("tracker", "right")], POSES, 0.0)
     touching, kind = (["right"], "fixed") if place == "socket" else (["left", "right"], "face")
     contacts = truth.contacts(rng, place, touching, POSES // 2, kind)
