@@ -3,6 +3,7 @@
     python scripts/cell_study.py exact            noise-free points, pixels and contacts, through the written URDFs
     python scripts/cell_study.py bound 25         25 runs of each cell with noise: error over the bound, coverage
     python scripts/cell_study.py clasp 4          4 runs of two arms that clasp a part, and nothing else
+    python scripts/cell_study.py stops 200        200 runs of an SO-101 at the stops of its joints, and nothing else
 
 Truths are Pinocchio's alone (`cell_truth.py`).
 """
@@ -26,12 +27,16 @@ from calib.camera.camera import Camera
 from calib.data.cell import Cell, FurtherRobot
 from calib.data.cell_chains import robot_of_cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.reasons import Why
 from calib.fit.estimate.problem import Problem
 from calib.model.observability import steps
 from calib.numerics.errors import interval_factor, rms
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
+from calib.robot.ranges import column_limits
+from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
+from calib.show.verdict_text import reason_text
 
 #: Noise of points [m] and of images [px].
 POINT_NOISE = 5e-5
@@ -39,6 +44,13 @@ PIXEL_NOISE = 0.2
 
 #: Noise of joint values in contacts [rad].
 JOINT_NOISE = 1e-4
+
+#: Noise of a joint's reading at its stop, and offsets of joints of an arm that was put together by hand [rad].
+STOP_NOISE = 1e-3
+OFFSET = 0.02
+
+#: Height of the table that hands lie on, over the link that it stands on [m].
+TABLE = 0.4
 
 #: Poses of each hand.
 POSES = 60
@@ -114,12 +126,15 @@ def one_robot(
 
 
 def two_robots(
-    rng: np.random.Generator, frames: Mapping[str, str], targets: Mapping[str, str]
+    rng: np.random.Generator,
+    frames: Mapping[str, str],
+    targets: Mapping[str, str],
+    poses: Mapping[str, pin.SE3] | None = None,
 ) -> TrueCell:
     """Draw a true cell of two Pandas."""
     stated = Cell(robots={"right": FurtherRobot("panda")})
     text = robot_of_cell(read_urdf("panda"), stated).urdf.data.decode()
-    return draw_cell(text, rng, frames, targets, {}, {"right/mount": PLACE})
+    return draw_cell(text, rng, frames, targets, poses or {}, {"right/mount": PLACE})
 
 
 def points_on_hands(robot: str, root: str, rng: np.random.Generator, sigma: float) -> Study:
@@ -180,25 +195,39 @@ def points_on_two_arms(rng: np.random.Generator, sigma: float) -> Study:
     return Study("panda", truth, table, cell, seen)
 
 
-def clasp(robot: str, rng: np.random.Generator) -> Study:
-    """A ball on the right hand sits in a socket on the left, whose distance to the tracker's points is known."""
-    truth = one_robot(
-        robot,
-        rng,
-        {"tracker": "base_footprint", "socket": HANDS["left"]},
-        {"left": HANDS["left"], "right": HANDS["right"]},
-    )
+def touches(robot: str, root: str, rng: np.random.Generator, place: str) -> Study:
+    """A tracker sees both hands, which touch: a ball in a socket on the left one, or both flat on one plane.
+
+    Args:
+        robot: Name of a robot with two hands, or of one of two alike that stand opposite each other.
+        root: Link that the tracker and the plane stand on.
+        rng: Random numbers.
+        place: ``"socket"`` or ``"plane"``.
+    """
+    hands = HANDS
+    robots = {}
+    if robot == "panda":
+        hands = {"left": "panda_link8", "right": "right/panda_link8"}
+        robots = {"right": FurtherRobot("panda")}
+    frames = {"tracker": root, place: hands["left"] if place == "socket" else root}
+    # A table that both hands reach.
+    table = pin.SE3(pin.exp3(0.2 * rng.standard_normal(3)), np.array([0.4, 0.0, TABLE]))
+    poses = {"plane": table}
+    stands = (rng, frames, hands, poses)
+    truth = two_robots(*stands) if robots else one_robot(robot, *stands)
     points = truth.points(rng, [("tracker", "left"), ("tracker", "right")], POSES, 0.0)
-    contacts = truth.contacts(rng, "socket", ["right"], POSES // 2)
-    table = joined([points, contacts])
-    seen = (("tracker", "left"), ("tracker", "right"), ("socket", "right"))
-    return Study(robot, truth, table, cell_of(truth, instrument="tracker"), seen)
+    touching, kind = (["right"], "fixed") if place == "socket" else (["left", "right"], "face")
+    contacts = truth.contacts(rng, place, touching, POSES // 2, kind)
+    seen = [("tracker", "left"), ("tracker", "right"), *((place, hand) for hand in touching)]
+    cell = cell_of(truth, instrument="tracker", robots=robots)
+    return Study(robot, truth, joined([points, contacts]), cell, tuple(seen))
 
 
 def errors_through_files(study: Study, result: Calibration, rng: np.random.Generator) -> float:
     """Return the largest error of predictions by the written URDF, as Pinocchio reads it [m].
 
-    Of a socket, whose axes mean nothing, the distance from its origin counts.
+    Of a socket, whose axes mean nothing, the distance from its origin counts; of a plane, whose normal has two signs,
+    the distance of the hand's face, and the cosine of its tilt as if it were a length.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = result.write_urdf(Path(folder) / "cell.urdf", accept=True)
@@ -216,27 +245,42 @@ def errors_through_files(study: Study, result: Calibration, rng: np.random.Gener
     worst = 0.0
     for frame, target in study.seen:
         for values in study.truth.fresh(rng, frame, FRESH):
-            true = study.truth.pose(values, frame, target).translation
-            predicted = found.pose(values, frame, target).translation
-            if frame == "socket":
-                error = abs(np.linalg.norm(true) - np.linalg.norm(predicted))
-            else:
-                error = float(np.linalg.norm(true - predicted))
-            worst = max(worst, float(error))
+            true = seen_of(frame, study.truth.pose(values, frame, target))
+            predicted = seen_of(frame, found.pose(values, frame, target))
+            worst = max(worst, float(np.linalg.norm(true - predicted)))
     return worst
+
+
+def seen_of(frame: str, T: pin.SE3) -> Array:
+    """Return what a frame, by its name, sees of a target's pose in it."""
+    if frame == "socket":
+        return np.array([np.linalg.norm(T.translation)])
+    if frame == "plane":
+        return np.abs([T.translation[2], T.rotation[2, 2]])
+    return np.asarray(T.translation)
 
 
 def run_exact(_arguments: argparse.Namespace) -> Iterator[str]:
     """Yield what is recovered without noise."""
     rng = np.random.default_rng(45)
+    tiago, talos, pandas = (
+        ("tiago_dual", "base_footprint"),
+        ("talos_reduced", "base_link"),
+        ("panda", "panda_link0"),
+    )
     studies: dict[str, Callable[[], Study]] = {
-        "tiago_dual, points": lambda: points_on_hands("tiago_dual", "base_footprint", rng, 0.0),
+        "tiago_dual, points": lambda: points_on_hands(*tiago, rng, 0.0),
         "tiago_dual, pixels": lambda: boards_on_hands("tiago_dual", "head_2_link", rng, 0.0),
-        "tiago_dual, contacts": lambda: clasp("tiago_dual", rng),
-        "talos, points": lambda: points_on_hands("talos_reduced", "base_link", rng, 0.0),
+        "tiago_dual, ball in a socket": lambda: touches(*tiago, rng, "socket"),
+        "tiago_dual, faces": lambda: touches(*tiago, rng, "plane"),
+        "talos, points": lambda: points_on_hands(*talos, rng, 0.0),
         "talos, pixels": lambda: boards_on_hands("talos_reduced", "head_2_link", rng, 0.0),
+        "talos, ball in a socket": lambda: touches(*talos, rng, "socket"),
+        "talos, faces": lambda: touches(*talos, rng, "plane"),
         "two Pandas, points": lambda: points_on_two_arms(rng, 0.0),
         "two Pandas, pixels": lambda: camera_and_board_on_two_arms(rng, 0.0, CAMERA),
+        "two Pandas, ball in a socket": lambda: touches(*pandas, rng, "socket"),
+        "two Pandas, faces": lambda: touches(*pandas, rng, "plane"),
     }
     for name, make in studies.items():
         study = make()
@@ -348,6 +392,7 @@ def two_arms_clasped(rng: np.random.Generator) -> Study:
 
 def run_clasp(arguments: argparse.Namespace) -> Iterator[str]:
     """Yield errors of the right hand in the grip of the left one, in further clasps and anywhere, and the verdict."""
+    squares: list[tuple[float, float]] = []
     for seed in range(arguments.seed, arguments.seed + arguments.count):
         rng = np.random.default_rng(seed)
         study = two_arms_clasped(rng)
@@ -363,27 +408,68 @@ def run_clasp(arguments: argparse.Namespace) -> Iterator[str]:
             true = np.array([study.truth.pose(row, "grip", "right").translation for row in values])
             nominal = result.nominal_setup.T_frame_base[0] @ result.nominal.poses(values[:, order])
             variance = np.einsum("nip,pq,niq->n", J, part.covariance, J)
-            if part.scale is not None:
-                variance += np.sum((J @ part.change_by_scale) ** 2, axis=1)
             before = 1e3 * rms(np.linalg.norm(nominal[:, :3, 3] - true, axis=1))
             after = 1e3 * rms(np.linalg.norm(found[:, :3, 3] - true, axis=1))
             expected = 1e3 * float(np.sqrt(np.mean(variance)))
             figures.append(f"{where} {before:.2f} to {after:.3f} mm, expected {expected:.3f}")
+        stated = 1e3 * part.new_point[1]
+        squares.append((after**2, stated**2))  # with the hands anywhere, which came last
         seen = result.trust.observability
         rank = f"rank {seen.rank} of {seen.columns}"
         assert result.verdict is not None
-        yield f"seed {seed}: {'; '.join(figures)}; {rank}; {result.verdict.use}"
+        yield f"seed {seed}: {'; '.join(figures)}, stated {stated:.1f}; {rank}; {result.verdict.use}"
+    true, told = np.sqrt(np.mean(squares, axis=0))
+    above = sum(square > bound for square, bound in squares)
+    yield f"anywhere: {true:.2f} mm rms, stated {told:.2f}; larger than stated in {above} of {len(squares)}"
+
+
+def run_stops(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield errors of zeros by end stops alone over their bound, coverage, and what is named as open.
+
+    Each joint but the gripper is read twice at each of its stops: the bound of its zero is the noise over two.
+    """
+    arm = Robot.load("so101")
+    limits = column_limits(arm)
+    count = len(arm.joint_names)
+    at = [(j, k) for _ in range(2) for j in range(count) for k in range(2)]
+    ratios, covered = [], []
+    for seed in range(arguments.seed, arguments.seed + arguments.count):
+        rng = np.random.default_rng(seed)
+        zeros = OFFSET * rng.standard_normal(count)
+        q = rng.uniform(-1.0, 1.0, (len(at), count))
+        for row, (j, k) in zip(q, at, strict=True):
+            row[j] = limits[j][k] - zeros[j] + STOP_NOISE * rng.standard_normal()
+        table = Measurements(
+            joint_names=arm.joint_names,
+            joints=q,
+            points=np.full((len(at), 3), np.nan),
+            kinds=("stop",) * len(at),
+            targets=tuple(arm.joint_names[j] for j, _ in at),
+            readings={"stop": np.array([limits[j][k] for j, k in at])},
+        )
+        if seed == arguments.seed:  # what stays open is named alike in all runs
+            verdict = calibrate("so101", table).verdict
+            assert verdict is not None
+            alone = next(r for r in verdict.reasons if r.why is Why.STOPS_ALONE)
+            yield f"{verdict.use}; no zero of {alone.values['not_stopped']}; {reason_text(alone)}"
+        result = calibrate("so101", table, model="zeros", validate=False)
+        ratios.append((result.geometry.x - zeros) / (STOP_NOISE / 2.0))
+        found = zip(result.parameters, zeros, strict=True)
+        covered.append([estimate.low <= zero <= estimate.high for estimate, zero in found])
+    by_joint = ", ".join(f"{ratio:.2f}" for ratio in np.sqrt(np.mean(np.square(ratios), axis=0)))
+    over = np.sqrt(np.mean(np.square(ratios)))
+    yield f"error over the bound {over:.3f} (by joint {by_joint}), covered {100.0 * np.mean(covered):.1f} %"
 
 
 def main() -> None:
     """Run one part of the study."""
     parser = study_parser(__doc__, parallel=True)
-    parser.add_argument("part", choices=("exact", "bound", "clasp"))
+    parser.add_argument("part", choices=("exact", "bound", "clasp", "stops"))
     parser.add_argument("count", type=int, nargs="?", default=25, help="runs of each cell")
     parser.add_argument("--seed", type=int, default=0, help="first seed")
     arguments = parser.parse_args()
-    run = {"exact": run_exact, "bound": run_bound, "clasp": run_clasp}[arguments.part]
-    for line in run(arguments):
+    parts = {"exact": run_exact, "bound": run_bound, "clasp": run_clasp, "stops": run_stops}
+    for line in parts[arguments.part](arguments):
         print(line, flush=True)
 
 

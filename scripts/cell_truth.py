@@ -57,7 +57,7 @@ class TrueCell:
     joints: list[str] = field(init=False)
     #: Their limits, (n,) each [rad or m].
     _limits: tuple[Array, Array] = field(init=False)
-    #: Pinocchio's own memory of the nominal and the true robot: as much as a pose takes otherwise.
+    #: Pinocchio's memory of the nominal and of the true robot, which takes long to make.
     _data: tuple[pin.Data, pin.Data] = field(init=False)
     #: For each camera that is aimed the posture at which it is, (n,).
     _postures: dict[str, Array] = field(init=False, default_factory=dict)

@@ -231,7 +231,7 @@ def with_errors(robot: Robot, rng: np.random.Generator) -> Robot:
     return model.apply(robot, sizes * rng.normal(size=len(sizes)))
 
 
-def ratio(scene: Scene, draws: int) -> tuple[float, float]:
+def ratio(scene: Scene, draws: range) -> tuple[float, float]:
     """Return the rms error over its bound, of mount and of board, without joint values and without a robot."""
     squares = []
     cell = scene.cell(BASE, FLANGE)
@@ -239,7 +239,7 @@ def ratio(scene: Scene, draws: int) -> tuple[float, float]:
     p = scene.T_base_flange
     values = flange_joints(p[:, :3, 3], p[:, :3, :3])
     exact, bound = scene.pixels(p), scene.bound()
-    for draw in range(draws):
+    for draw in draws:
         noise = np.random.default_rng([draw, len(p)]).normal(0.0, SIGMA, exact.shape)
         table = scene.table(exact + noise, JOINTS, values)
         result = calibrate(robot, table, cell=cell, validate=False)
@@ -279,6 +279,7 @@ def main() -> None:
     """Print a row for each set."""
     parser = study_parser(__doc__)
     parser.add_argument("--draws", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="number of the first draw")
     parser.add_argument("--joints", action="store_true", help="recover joint values, too")
     parser.add_argument("--sets", type=int, nargs="*", default=range(1, len(SETS) + 1))
     arguments = parser.parse_args()
@@ -289,7 +290,8 @@ def main() -> None:
         for number in arguments.sets:
             case = SETS[number - 1]
             scene = make_scene(case, number)
-            mount, board = ratio(scene, arguments.draws) if arguments.draws else (np.nan, np.nan)
+            draws = range(arguments.first, arguments.first + arguments.draws)
+            mount, board = ratio(scene, draws) if draws else (np.nan, np.nan)
             every.extend((mount, board))
             row = [case.name, str(len(scene.T_base_flange)), f"{mount:.2f}", f"{board:.2f}"]
             if arguments.joints and scene.controller is not None:

@@ -15,7 +15,7 @@ from calib.data.cell import Cell
 from calib.data.columns import WORD_COLUMNS, name_columns
 from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.stops import is_stop, stop_links
-from calib.errors import ModelError, choices, did_you_mean
+from calib.errors import ModelError, UrdfError, choices, did_you_mean
 from calib.robot.joined_urdf import Part, joined_urdf
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
@@ -209,8 +209,24 @@ def robot_of_cell(
 
     Raises:
         UrdfError: No such link or joint, or a chain that calib cannot take.
-        ModelError: A target's link is not named, while those of others are.
+        ModelError: A target's link is not named, while those of others are, or none stands on a further robot.
     """
+    robot = _robot_between_links(urdf, cell, measured, sights)
+    reached = [link for chain in robot.chains for link in (chain.base, chain.tip)]
+    for name in cell.robots:
+        if not any(link.startswith(f"{name}/") for link in reached):
+            raise ModelError(
+                f"--other-robot {name}: no row reaches this robot: no frame or target stands on a link '{name}/...', "
+                f"but all on {choices(dict.fromkeys(reached))}. Name the link of one, --tip NAME={name}/LINK or "
+                f"--base NAME={name}/LINK, or leave the robot out."
+            )
+    return robot
+
+
+def _robot_between_links(
+    urdf: Urdf, cell: Cell, measured: Collection[str] | None, sights: Iterable[Sight] | None
+) -> Robot:
+    """Return the robot between the links of a cell; see `robot_of_cell`."""
     parts = tuple(
         Part(name, read_urdf(further.robot), estimated=further.estimated)
         for name, further in cell.robots.items()
@@ -223,6 +239,7 @@ def robot_of_cell(
         first = Part("", urdf, estimated=False)
         urdf = joined_urdf(urdf, parts, mounts)
         parts = (first, *parts)
+    _check_links_exist(cell, urdf)
     seen = tuple(sights or ())
     stops = [sight for sight in seen if is_stop(urdf, *sight)]
     if not cell.bases and not cell.tips and not stops:
@@ -267,6 +284,22 @@ def _moves(urdf: Urdf, cell: Cell, station: str, target: str) -> bool:
         return True
     names = {name for names in urdf.chain(base, tip) for name in names}
     return any(urdf.joint(name).type != "fixed" and name not in cell.held for name in names)
+
+
+def _check_links_exist(cell: Cell, urdf: Urdf) -> None:
+    """Refuse links that a cell names for stations or targets and a URDF lacks, by a `UrdfError`."""
+    for option, column, given in (("--base", "group", cell.bases), ("--tip", "target", cell.tips)):
+        for name, link in given.items():
+            if link in urdf.links:
+                continue
+            robot, slash, _ = link.partition("/")
+            fix = f"The links are {choices(urdf.links)}."
+            if slash and robot not in cell.robots:
+                fix = f"If '{robot}' is another robot, name its URDF: --other-robot {robot}=URDF."
+            raise UrdfError(
+                f"{option} {name}={link}, for rows with '{name}' in the column '{column}': {urdf.source} has no link "
+                f"'{link}'{did_you_mean(link, urdf.links)}. {fix}"
+            )
 
 
 def robot_with_chains_of(source: Robot, urdf: Urdf, held: Mapping[str, float]) -> Robot:

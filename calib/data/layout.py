@@ -76,6 +76,7 @@ class Layout:
         kind: str | None = None,
         *,
         points_elsewhere: bool = False,
+        needs_all_joints: bool = True,
     ) -> Layout:
         """Find the columns of a table of measurements.
 
@@ -88,6 +89,7 @@ class Layout:
             kind: Kind of all rows; None: as the columns say.
             points_elsewhere: Whether the positions are in a file of their own, and the table at
                 most names them in a column ``point``.
+            needs_all_joints: Whether each of the named joints must have a column; if not, one must.
 
         Returns:
             The layout.
@@ -98,6 +100,8 @@ class Layout:
         """
         options = column_options(columns)
         named, groups = name_columns(table, joint_names or (), options)
+        if joint_names is not None and not needs_all_joints and set(joint_names) & named.keys():
+            joint_names = [name for name in joint_names if name in named]
         joints = _joints(table, named, joint_names, joint_types or {}, options)
         is_oriented = bool(conventions_of(table, named, joint_names or (), options))
         kinds = _kinds(table, named, kind, is_oriented, points_elsewhere=points_elsewhere)

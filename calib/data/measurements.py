@@ -18,7 +18,7 @@ from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, residual_unit
 from calib.basics.files import csv_bytes, write_atomically
 from calib.basics.tables import Table
-from calib.basics.units import Quantity
+from calib.basics.units import Quantity, split_header
 from calib.basics.values import ReadOnlyMapping, Value, one_line
 from calib.data.checks import (
     RowLabels,
@@ -52,8 +52,8 @@ from calib.data.forms.orientations import QUATERNION
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
 from calib.data.points_file import read_points
-from calib.data.values import read_values
-from calib.errors import MeasurementError, choices
+from calib.data.values import read_values, with_joints_missing
+from calib.errors import MeasurementError, choices, did_you_mean
 from calib.numerics.geometry import FARTHEST, to_quaternions
 from calib.numerics.moves import SAME_POSE, last_moves
 from calib.robot.flange import is_flange_robot
@@ -280,7 +280,7 @@ class Measurements(Value):
                 one they are in the order of the rows. None: the table has the positions.
             points_unit: Unit of that list, ``"mm"``; None: the list names it.
             needs_all_joints: Whether each row must have a value of each joint; False for a robot of several chains,
-                whose rows need those of their own chain.
+                whose rows need those of their own chain; the others need no column either.
 
         Returns:
             The measured rows, in SI units; in the order of their measurement if the table has a column ``order``, else
@@ -302,10 +302,13 @@ class Measurements(Value):
             columns,
             kind,
             points_elsewhere=elsewhere is not None,
+            needs_all_joints=needs_all_joints,
         )
         values = read_values(
             table, layout, elsewhere, as_measured=True, needs_all_joints=needs_all_joints
         )
+        if joint_names is not None and not needs_all_joints:
+            values |= with_joints_missing(values, joint_names, joint_types or {})
         measurements = cls(**values)
         if not measurements.estimation.any():
             raise MeasurementError(
@@ -477,9 +480,19 @@ class Measurements(Value):
         lacking = np.argwhere(self.without_joint[:, columns] & rows[:, None])
         if len(lacking):
             row, column = lacking[0].tolist()
+            name = names[column]
+            what, fix = "the cell is empty", "Fill in its value"
+            if self.without_joint[:, columns[column]].all():
+                header = f"{name} [{COMMON['length' if name in self.prismatic else 'angle']}]"
+                similar = did_you_mean(name, [split_header(label)[0] for label in self.ignored])
+                what = f"no row has a value{similar}"
+                fix = (
+                    f"Add the column '{header}'; one of another name is mapped by --columns "
+                    f'"name in the table={header}"'
+                )
             raise MeasurementError(
-                f"{self.source or 'Measurements'}, row {self.rows[row]}, column '{names[column]}': the cell is empty, "
-                f"and the target '{self.targets[row]}' of this row hangs on that joint. Fill in its value."
+                f"{self.source or 'Measurements'}, row {self.rows[row]}, column '{name}': {what}, and the target "
+                f"'{self.targets[row]}' of this row hangs on that joint. {fix}."
             )
 
     def _columns_of_joints(self, names: Sequence[str]) -> list[int]:
@@ -586,9 +599,12 @@ class Measurements(Value):
             moves, last_moves(self.joints), rtol=0.0, atol=SAME_POSE
         ):
             moves = None
+        joints = self.joints
+        if self.without_joint is not None:
+            joints = np.where(self.without_joint, np.nan, joints)
         for i, name in enumerate(self.joint_names):
             slides = name in self.prismatic
-            yield name, "length" if slides else "angle", self.joints[:, i]
+            yield name, "length" if slides else "angle", joints[:, i]
             if moves is not None:
                 yield name + MOVE, "length" if slides else "angle", moves[:, i]
             if self.torques is not None:

@@ -185,6 +185,46 @@ def read_values(
     }
 
 
+def with_joints_missing(
+    values: Mapping[str, Any], joint_names: Sequence[str], joint_types: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return those of the arguments of `Measurements` that change if joints without a column stand still at zero.
+
+    Args:
+        values: As `read_values` returns them, of n joints that have a column and N rows.
+        joint_names: The m >= n joints of the robot.
+        joint_types: URDF types of joints by name.
+
+    Returns:
+        Arguments of m joints in the order of ``joint_names``; no row has those without a column.
+    """
+    given = list(values["joint_names"])
+    missing = [name for name in joint_names if name not in given]
+    order = [[*given, *missing].index(name) for name in joint_names]
+    count = len(values["joints"])
+
+    def widened(name: str, blank: float) -> Array | None:
+        """Return an array of the given joints, (N, n), with a value for each missing one, (N, m); None for None."""
+        if values[name] is None:
+            return None
+        both: Array = np.hstack([values[name], np.full((count, len(missing)), blank)])
+        return both[:, order]
+
+    without_joint = values["without_joint"]
+    if without_joint is None:
+        without_joint = np.zeros((count, len(given)), dtype=np.bool_)
+    absent = np.ones((count, len(missing)), dtype=np.bool_)
+    sliding = [name for name in missing if joint_types.get(name) == "prismatic"]
+    return {
+        "joint_names": list(joint_names),
+        "joints": widened("joints", 0.0),
+        "moves": widened("moves", 0.0),
+        "torques": widened("torques", np.nan),
+        "without_joint": np.hstack([without_joint, absent])[:, order],
+        "prismatic": [*values["prismatic"], *sliding],
+    }
+
+
 def _of_kinds(layout: Layout, kinds: Words, attribute: str) -> Mask:
     """Mark the rows whose kind has a true attribute of `Kind`, such as ``"paired"``, shape (rows,)."""
     chosen = [name for name in layout.kinds if getattr(registry.get(name), attribute)]

@@ -324,9 +324,14 @@ def partial_coverage(fitted: Fitted) -> Iterator[Reason]:
     spreads = []
     for number, chain in enumerate(robot.chains):
         of_chain = rows.select(weighted).samples.rows_of_chain(number)
-        if len(of_chain):
-            possible_tips = chain.poses(spread_poses(robot))[:, :3, 3]
-            spreads.append(spread_of(chain.poses(q[of_chain])[:, :3, 3], possible_tips))
+        if not len(of_chain):
+            continue
+        # Hands that touch, or see each other, hardly move in one another: the way of each in the robot counts.
+        for arm in chain.arms:
+            columns = [robot.joint_names.index(name) for name in arm.joint_names]
+            possible_tips = arm.poses(spread_poses(robot)[:, columns])[:, :3, 3]
+            tips = arm.poses(q[of_chain][:, columns])[:, :3, 3]
+            spreads.append(spread_of(tips, possible_tips))
     spread = min(spreads, default=0.0)
     values = robot.input_values(q)
     shares = shares_of_ranges(values, column_ranges(robot), [j.type for j in robot.inputs])

@@ -157,6 +157,7 @@ class Why(str, Enum):
     SOLE_POSTURE = "sole_posture", Role.CARE
     CORNER = "corner", Role.IMPROVE
     NO_LENGTH = "no_length", Role.IMPROVE
+    HANDS_ALONE = "hands_alone", Role.IMPROVE
     STOPS_ALONE = "stops_alone", Role.IMPROVE
     MODEL_LACKS = "model_lacks", Role.IMPROVE, Group.NOT_NOISE
     REPEATS_AGREE = "repeats_agree", Role.IMPROVE

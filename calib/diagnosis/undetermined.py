@@ -20,6 +20,7 @@ from calib.basics.arrays import Array
 from calib.diagnosis.augmented_fit import augment, nominal_under
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.prior_terms import PriorTerms
+from calib.fit.estimate.special_cases.hands_alone import hands_alone
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.numerics.likelihood import GaussianPriors
@@ -108,7 +109,10 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
         points, J = kinematics.twists(estimate.x, samples, rotation=False)
         _, J_further = further.twists(zero, samples, rotation=False)
         J = np.concatenate([J, J_further[:, :, kept]], axis=2)
-        if task.cell.estimate_frame or not any(kind.tells_place for kind in rows.present):
+        moves_freely = task.cell.estimate_frame or not any(
+            kind.tells_place for kind in rows.present
+        )
+        if moves_freely and not hands_alone(rows.present, kinematics.robot):
             J = without_rigid_motion(points[:, :3, 3], J)
         JJ = np.einsum("nip,niq->pq", J, J) / len(J)
         away = x - x[0]

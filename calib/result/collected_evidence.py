@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import Channels
 from calib.diagnosis.evidence import Evidence, ValidationErrors
@@ -15,6 +16,7 @@ from calib.diagnosis.judge import judge
 from calib.diagnosis.judge_setup import judge_setup
 from calib.diagnosis.reasons import NO, Reason, Role, Verdict, Why
 from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.special_cases.hands_alone import hands_alone
 from calib.fit.registration.rows import Rows
 from calib.model.error_model import FRAME, MOUNT, TARGET
 from calib.model.error_on_chain import model_on_chain
@@ -232,7 +234,8 @@ def _expected_over_limits(
     parameters by the growth g each; d is then that from the model less m g. If all of the model's changes are scale,
     the nominal robot is right, and off by less than the model.
 
-    If the frame was estimated, or no row determines where the base stands, rigid motions of all positions do not count.
+    If the frame was estimated, or no row determines where the base stands, rigid motions of all positions do not count;
+    but for hands that contacts alone relate, of which the pose of one in the other counts.
     """
     samples = result.samples(
         spread_poses(result.nominal),
@@ -250,7 +253,9 @@ def _expected_over_limits(
     if model.scale is not None:
         growth = J @ model.scale.growth[:, None]
         mean, variance = model.scale.mean, model.scale.variance
-    if result.method.frame_estimated or not result.rows.tells_place:
+    kinds = [registry.get(name) for name in set(result.rows.kinds)]
+    moves_freely = result.method.frame_estimated or not result.rows.tells_place
+    if moves_freely and not hands_alone(kinds, result.nominal):
         away = without_rigid_motion(points, away)
         growth = without_rigid_motion(points, growth)
         J = without_rigid_motion(points, J)

@@ -23,6 +23,7 @@ from calib.diagnosis.usual_mistakes import doubtful_senses
 from calib.diagnosis.variant import length_intervals, other_variant
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.special_cases.arm_size import measures_length
+from calib.fit.estimate.special_cases.hands_alone import hands_alone
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES, joint_families
 from calib.numerics.errors import interval_factor
@@ -97,7 +98,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     yield from flagged_station(fitted)
     yield from _agreeing_repeats(result, fitted)
     if not measures_length(rows, fitted.task.distances):
-        yield Reason.of(Why.NO_LENGTH)
+        alone = hands_alone(rows.present, result.nominal)
+        yield Reason.of(Why.HANDS_ALONE if alone else Why.NO_LENGTH)
 
 
 def _stops_alone(result: Calibration, measurements: Measurements) -> Reason:

@@ -23,6 +23,7 @@ from calib.diagnosis.reasons import Verdict
 from calib.diagnosis.stated_values import Scale, instrument_scale
 from calib.diagnosis.undetermined import undetermined_error
 from calib.fit.estimate.fitting import Fitted
+from calib.fit.estimate.special_cases.hands_alone import hands_alone
 from calib.fit.registration.setup import Setup
 from calib.model.error_model import FRAME, TARGET, ErrorModel
 from calib.model.kinematics import Kinematics, Samples
@@ -144,7 +145,8 @@ class FittedModel(Value):
         """
         kinematics, x, rows = fitted.kinematics, fitted.estimate.x, fitted.estimate.problem.rows
         base_motion = None
-        if not any(kind.tells_place for kind in rows.present):
+        alone = hands_alone(rows.present, kinematics.robot)  # the pose of one in the other counts
+        if not alone and not any(kind.tells_place for kind in rows.present):
             # The rigid motion nearest, by least squares, to what a unit of each parameter does at the measured poses.
             count = min(len(rows), _MOST_MEASURED)
             spread = np.linspace(0, len(rows) - 1, count).astype(int)

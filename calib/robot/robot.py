@@ -347,6 +347,20 @@ class Robot(Value):
         return bool(self.branches or self.mounts)
 
     @property
+    def joins_hands(self) -> bool:
+        """True if a chain leads up one arm and down another, so that its base moves in the robot too."""
+        return any(len(chain.arms) > 1 for chain in self.chains)
+
+    @property
+    def arms(self) -> tuple[Robot, ...]:
+        """The chain alone; if it leads from one hand to another, both ways down, from where they part."""
+        ways = self.urdf.chain(self.base, self.tip)
+        if any(all(self.urdf.joint(name).type == "fixed" for name in way) for way in ways):
+            return (self.chains[0],)
+        parting = self.urdf.joint(ways[0][0]).parent
+        return tuple(self.rebuilt(None, parting, link) for link in (self.base, self.tip))
+
+    @property
     def limbs(self) -> tuple[Robot, ...]:
         """The chains whose placements are corrected, from the link where all of ``chains`` part; itself if it is one.
 

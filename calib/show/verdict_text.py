@@ -191,6 +191,9 @@ SENTENCES = {
     Why.NO_LENGTH: "No length was measured, so the size of the arm stays nominal; nor do contacts "
     "say where the base stands. To determine the size, add rows that measure a length, or with "
     "sockets give the distance between two of them in the cell file ([[distances]]).",
+    Why.HANDS_ALONE: "The hands were seen where they touch, and nowhere else. The size of the arms stays nominal, "
+    "and so do offsets next to what they hold: with the hands elsewhere the error is larger, see that expected over "
+    "the joint limits. To determine them, add rows that measure lengths: a tracker, a camera.",
     Why.STOPS_ALONE: "End stops tell the zeros of {joints} alone. Lengths, angles between axes, gears, bending, and "
     "where base and tool are stay as they are{others_open}: to determine them, measure.",
     Why.PARAMETER_FAR: "A parameter has changed by {largest:mm.0f} mm or mrad, more than any error "

@@ -26,6 +26,7 @@ from calib.data.cell_chains import (
     sights_of,
 )
 from calib.data.inputs import inputs_of
+from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, ModelError, UrdfError
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.urdf import read_urdf
@@ -229,3 +230,72 @@ def test_joints_of_a_second_robot_need_its_name(tmp_path):
     path.write_text(f"target,{joints},{joints},x [m],y [m],z [m]\na{17 * ',0'}\n", encoding="utf-8")
     with pytest.raises(MeasurementError, match=r"'panda_joint1'.*robot 'right'.*'right/JOINT'"):
         load_with_data("panda", CELL, path)
+
+
+def test_joints_that_no_row_needs_need_no_column(tmp_path: Path):
+    kept = [f"arm_left_{k}_joint" for k in (3, 2, 1, 4, 5, 6, 7)]
+    header = ["target", *(f"{name} [rad]" for name in kept), "torso_lift_joint [m]"]
+    path = tmp_path / "left.csv"
+    numbers = ["0.3", "0.2", "0.1", "0.4", "0.5", "0.6", "0.7", "0.05"]
+    lines = [",".join([*header, "x [m],y [m],z [m]"]), ",".join(["left", *numbers, "1,2,3"])]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    cell = Cell(tips=TIPS, estimate_frame=True)
+    robot = robot_of_cell(read_urdf("tiago_dual"), cell)
+    table = Measurements.read(path, robot.joint_names, robot.joint_types, needs_all_joints=False)
+    assert table.joint_names == robot.joint_names
+    values = dict(zip(table.joint_names, table.joints[0].tolist(), strict=True))
+    assert [values[f"arm_left_{k}_joint"] for k in range(1, 8)] == pytest.approx(
+        [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
+    )
+    assert values["torso_lift_joint"] == 0.05
+    assert values["arm_right_1_joint"] == 0.0
+    assert table.without_joint is not None
+    lacks = [name.startswith("arm_right") for name in table.joint_names]
+    assert table.without_joint[0].tolist() == lacks
+    assert "torso_lift_joint" in table.prismatic
+    rows, _ = rows_and_setup(robot, table, cell)
+    assert len(rows) == 1
+    # A robot of one chain needs them all.
+    with pytest.raises(MeasurementError, match="arm_right_1_joint"):
+        Measurements.read(path, robot.joint_names, robot.joint_types)
+
+
+def test_a_missing_column_that_a_row_needs_is_named_with_the_row(tmp_path: Path):
+    path = table_in(tmp_path, [row("left", "0.1", ""), row("right", "0.1", "0.2")])
+    misspelt = path.read_text(encoding="utf-8").replace("arm_right_6_joint", "arm_right_6_jnt")
+    path.write_text(misspelt, encoding="utf-8")
+    cell = Cell(tips=TIPS, estimate_frame=True)
+    robot, table, _ = inputs_of("tiago_dual", path, cell)
+    expected = r"row 2, column 'arm_right_6_joint'.*did you mean 'arm_right_6_jnt'.*--columns"
+    with pytest.raises(MeasurementError, match=expected):
+        rows_and_setup(robot, table, cell)
+
+
+def test_joints_beside_the_chain_of_a_row_are_written_as_empty_cells(tmp_path: Path):
+    path = table_in(tmp_path, [row("left", "0.1", ""), row("right", "", "0.2")])
+    robot, table, _ = inputs_of("tiago_dual", path, Cell(tips=TIPS))
+    table.write(tmp_path / "again.csv")
+    again = Measurements.read(
+        tmp_path / "again.csv", robot.joint_names, robot.joint_types, needs_all_joints=False
+    )
+    assert table.without_joint is not None
+    assert again.without_joint is not None
+    assert np.array_equal(again.without_joint, table.without_joint)
+
+
+def test_a_link_that_does_not_exist_is_named_with_its_rows():
+    urdf = read_urdf("tiago_dual")
+    wrong = Cell(tips={"left": "arm_left_7_lnk"})
+    with pytest.raises(
+        UrdfError, match=r"--tip left=arm_left_7_lnk.*'left' in the column 'target'"
+    ):
+        robot_of_cell(urdf, wrong)
+    of_other = Cell(bases={"grip": "right/panda_link8"}, tips={"ball": "panda_link8"})
+    with pytest.raises(UrdfError, match=r"--base grip=.*column 'group'.*--other-robot right=URDF"):
+        robot_of_cell(read_urdf("panda"), of_other)
+
+
+def test_a_further_robot_that_no_row_reaches_is_refused():
+    unreached = replace(CELL, tips={"a": "panda_link8", "b": "panda_link7"})
+    with pytest.raises(ModelError, match=r"--other-robot right: no row reaches"):
+        robot_of_cell(read_urdf("panda"), unreached)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.data.cell import Cell
+from calib.data.cell import Cell, FurtherRobot
+from calib.data.cell_chains import robot_of_cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.coverage import (
     Views,
@@ -17,6 +18,7 @@ from calib.diagnosis.coverage import (
     extrapolation,
     hardly_moved,
     outside,
+    partial_coverage,
     sole_postures,
     spread_of,
     spread_of_axes,
@@ -26,8 +28,9 @@ from calib.example import paper_measurements
 from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
-from calib.robot.ranges import random_joint_values
+from calib.robot.ranges import random_joint_values, spread_poses
 from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
 from calib.verbs.simulate.truth import draw_truth
 from tests.hard_cases import made
 from tests.images import BOARD, HOME, arm, cell, mounts, poses, table
@@ -269,3 +272,33 @@ def test_a_frame_that_one_pose_sees_concerns_no_joint(make_scene, join):
     scene = make_scene(3, frames=2, noise=5e-5)
     seen = join(scene.points(30, 0), scene.points(3, 1))
     assert named(seen, scene.robot, Cell(estimate_frame=True)) == []
+
+
+@pytest.mark.parametrize("mount", ["known", "estimate"])
+def test_hands_that_see_each_other_are_judged_by_the_way_of_each(mount):
+    """The left hand hardly moves: not the pose of one hand in the other counts, in which the right one moves much."""
+    place = np.eye(4)
+    place[0, 3] = 1.0
+    cell = Cell(
+        bases={"held": "panda_link8"},
+        tips={"right": "right/panda_link8"},
+        robots={"right": FurtherRobot("panda", T_root_base=place, estimated=mount == "estimate")},
+        estimate_frame=True,
+    )
+    robot = robot_of_cell(read_urdf("panda"), cell)
+    q = random_joint_values(robot, 20, 1)
+    rng = np.random.default_rng(2)
+    is_left = np.array([not name.startswith("right/") for name in robot.joint_names])
+    q[:, is_left] = q[0, is_left] + 0.02 * rng.standard_normal((20, 7))
+    points = robot.poses(q)[:, :3, 3] + 1e-4 * rng.standard_normal((20, 3))
+    measured = Measurements(
+        robot.joint_names, q, points, groups=("held",) * 20, targets=("right",) * 20
+    )
+    rows, setup = rows_and_setup(robot, measured, cell)
+    (reason,) = partial_coverage(fit(Task(robot, cell, setup, "frames"), rows))
+    left = robot.rebuilt(None, "panda_link0", "panda_link8")
+    columns = [robot.joint_names.index(name) for name in left.joint_names]
+    possible = left.poses(spread_poses(robot)[:, columns])[:, :3, 3]
+    expected = spread_of(left.poses(q[:, columns])[:, :3, 3], possible)
+    assert reason.values["spread"] == pytest.approx(expected)
+    assert expected < 0.1

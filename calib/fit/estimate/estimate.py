@@ -11,8 +11,14 @@ from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value, keep_read_only
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.special_cases.hands_alone import (
+    added_covariance,
+    hands_alone,
+    missing_variance,
+)
 from calib.fit.estimate.stages import Stage
 from calib.model.error_model import FRAME, MOUNT, TARGET
+from calib.model.families import FAMILIES
 from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solution
@@ -141,6 +147,8 @@ def estimate_at_stage(
     x = solution.x.copy()
     if has_priors:  # without, nothing keeps small what the target can replace: there are no traces
         x = _without_traces(problem, linear, covariance)
+    if prior.source == "data" and hands_alone(problem.rows.present, problem.kinematics.robot):
+        covariance = covariance + _by_typical_errors(problem, stage, covariances[0])
     held = list(prior.fixed)
     x[held] = prior.mean[held]
     prior_std = dict(zip(prior.names, stage.prior_std[0].tolist(), strict=True))
@@ -158,6 +166,18 @@ def estimate_at_stage(
         log_likelihood=float(log_likelihood[0]),
         at_bound=prior.fixed,
     )
+
+
+def _by_typical_errors(problem: Problem, stage: Stage, covariance: Array) -> Array:
+    """What errors of typical sizes add to a covariance, (p, p), by narrower priors, and to that of the arm's size."""
+    prior, precision = stage.prior, stage.priors.precision[0]
+    typical = np.array([FAMILIES[name].typical for name in prior.names])
+    missing = missing_variance(prior.families, stage.prior_std[0], typical)
+    added = added_covariance(covariance, precision, missing)
+    if problem.gauge is not None:
+        wider = np.where(missing > 0.0, precision / (1.0 + missing * precision), precision)
+        added += problem.gauge.covariance(wider) - problem.gauge.covariance(precision)
+    return added
 
 
 def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) -> Array:

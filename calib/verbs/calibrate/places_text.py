@@ -38,7 +38,11 @@ def target_sentences(c: Calibration) -> list[str]:
     sentences = []
     for t, name in enumerate(c.setup.target_names):
         pairs = zip(c.rows.kinds, c.rows.targets, strict=True)
-        if any(registry.get(kind).of_joint for kind, target in pairs if target == name):
+        kinds = [registry.get(kind) for kind, target in pairs if target == c.setup.targets[t]]
+        # A joint at its stop has none; in a clasp it is the tip.
+        if any(kind.of_joint for kind in kinds) or (
+            kinds and all(kind.holds_pose for kind in kinds)
+        ):
             continue
         label = f"{noun} '{name}'" if name else noun
         T_tip_target = c.setup.T_tip_target[t]
@@ -131,8 +135,8 @@ def chain_sentences(c: Calibration) -> list[str]:
 def _frame_place(base: str, T_frame_base: Array, kinds: Sequence[Kind]) -> str:
     """Word the place of an estimated frame, T_frame_base (4, 4) [m], in mm and deg, by the kinds of its rows.
 
-    It is a camera's pose, the point of a socket or anchor, or a plane's normal and distance, in the base; for other
-    kinds the pose of the base in the frame.
+    It is a camera's pose, the point of a socket or anchor, a plane's normal and distance, or the held pose of a clasp,
+    in the base; for other kinds the pose of the base in the frame.
     """
     position = T_frame_base[:3, 3]
     if any(kind.is_image for kind in kinds):
@@ -143,6 +147,10 @@ def _frame_place(base: str, T_frame_base: Array, kinds: Sequence[Kind]) -> str:
     if _is_plane(kinds):
         normal = ", ".join(f"{v:.5f}" for v in T_frame_base[2, :3])
         return f"estimated with the normal ({normal}) in {base}, {mm(-position[2])} mm along it"
+    if all(kind.holds_pose for kind in kinds):
+        T_base_held = np.asarray(np.linalg.inv(T_frame_base))
+        place = f"{_position(T_base_held[:3, 3])}{_rpy(T_base_held)} in {base}"
+        return f"held at {place}; position and orientation errors are those by which the loop does not close"
     return f"{base} estimated at {_position(position)}{_rpy(T_frame_base)} in it"
 
 

@@ -182,12 +182,18 @@ def weights_text(c: Calibration) -> str:
 
 
 def outliers_text(c: Calibration, outliers: Sequence[Outlier]) -> str:
-    """List rows, or the images that they are corners of, with residual and score; beyond `_LISTED` they are counted."""
+    """List rows, or the images that they are corners of, with residual and score; beyond `_LISTED` they are counted.
+
+    If there are several targets, such as two hands, each row has the name of its own.
+    """
     if not c.rows.images:
+        target_of = dict(zip(c.rows.numbers, c.rows.targets, strict=True))
         rows = []
         for outlier in outliers[:_LISTED]:
-            sizes = [_rough_size(size, unit) for unit, size in outlier.residual.items()]
-            rows.append(f"row {outlier.row} ({', '.join(sizes)}, {outlier.score:.1f} sigma)")
+            facts = [_rough_size(size, unit) for unit, size in outlier.residual.items()]
+            if len(c.setup.targets) > 1:
+                facts.insert(0, f"'{target_of[outlier.row]}'")
+            rows.append(f"row {outlier.row} ({', '.join(facts)}, {outlier.score:.1f} sigma)")
         more = len(outliers) - _LISTED
         return "; ".join([*rows, f"and {more} more"] if more > 0 else rows)
 

@@ -15,10 +15,12 @@ from calib.basics.arguments import check_path, check_type
 from calib.basics.values import Value, one_line, shown_by
 from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
-from calib.errors import ModelError
+from calib.errors import ModelError, choices
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import ResultInput, result_of, versions, write_table
 from calib.robot.robot import Robot
+from calib.show.lines import plural
+from calib.show.words import chain_name
 from calib.verbs.compare.difference import Differences, Displacement, differences_of
 from calib.verbs.compare.drift import LEVEL, DriftTest
 
@@ -159,7 +161,7 @@ def compare(
     Raises:
         ArgumentError: An argument of another type.
         FileError: A file cannot be read or is not a result.
-        ModelError: The results are of different chains.
+        ModelError: The results are not of the same chains.
         UrdfError: The URDF cannot be read, or lacks a joint.
     """
     first, second = result_of(a, "a"), result_of(b, "b")
@@ -167,8 +169,9 @@ def compare(
     name_b = "b" if isinstance(b, Calibration) else Path(b).name
     if _chain_and_readings(first.nominal) != _chain_and_readings(second.nominal):
         raise ModelError(
-            f"{name_a} and {name_b} are not of one chain: {first.nominal!r}, {second.nominal!r}. Calibrate "
-            "both with the same --base, --tip, --hold and, in the cell file, [coupling]."
+            f"{name_a} and {name_b} are not of the same chains: {_chains_text(first.nominal)}, and "
+            f"{_chains_text(second.nominal)}. Calibrate both with the same --base, --tip, --hold and, in the cell "
+            "file, [coupling]."
         )
     shown = first.nominal
     if robot is not None:
@@ -203,9 +206,15 @@ def compare(
 
 
 def _chain_and_readings(robot: Robot) -> tuple[Any, ...]:
-    """Return the facts by which two robots are one chain: base, tip, joints, held values and coupled readings."""
+    """Return by what two robots have the same chains: bases and tips, joints, held values and coupled readings."""
     joints = (robot.joint_names, set(robot.origins()), robot.held, robot.reading_coupling)
-    return robot.base, robot.tip, joints
+    return {(chain.base, chain.tip) for chain in robot.chains}, joints
+
+
+def _chains_text(robot: Robot) -> str:
+    """Name a robot, its chains, and what else two results must have in common."""
+    text = f"{chain_name(robot)} with {plural(len(robot.joint_names), 'joint')}"
+    return f"{text}, {choices(robot.held)} held" if robot.held else text
 
 
 def _obstacle(first: Calibration, second: Calibration, differences: Differences) -> Why:

@@ -255,12 +255,9 @@ def compensate(
         with_chain = _with_chain_of(result, cell, str(source))
         if result.nominal.branches:
             target = tool.partition(":")[2] if tool and tool.startswith("target") else None
-            named = [
-                cell.tip,
-                *cell.tips.values(),
-            ]  # --tip LINK, or as for the fit, --tip NAME=LINK
-            links = [link for link in named if link is not None]
-            hand = chain_of_hand(result, links[0] if len(links) == 1 else None, target)
+            # --tip LINK, or as for the fit, --tip NAME=LINK; the base likewise.
+            tip = _only_link(cell.tip, cell.tips)
+            hand = chain_of_hand(result, tip, target, _only_link(cell.base, cell.bases))
             nominal = load(robot, with_chain, result=result).rebuilt(None, *hand)
         else:
             nominal = load(robot, with_chain)
@@ -309,6 +306,12 @@ def compensate(
     if not quiet:
         typer.echo(text(commands, Path(source).name, output))
     say_accepted(f"'{source}'", stated)
+
+
+def _only_link(link: str | None, by_name: Mapping[str, str]) -> str | None:
+    """Return the link that is given, plainly or by a name; None if none or several are."""
+    links = [*by_name.values()] if link is None else [link, *by_name.values()]
+    return links[0] if len(links) == 1 else None
 
 
 def _with_chain_of(result: Calibration, cell: Cell, path: str) -> Cell:

@@ -329,16 +329,20 @@ def pair_of(
     )
 
 
-def chain_of_hand(result: Calibration, hand: str | None, target: str | None) -> tuple[str, str]:
+def chain_of_hand(
+    result: Calibration, hand: str | None, target: str | None, base: str | None = None
+) -> tuple[str, str]:
     """Return base and tip of the chain of a result of several that a tip, a target's name or a tool's target names.
 
     Args:
         result: A result of several chains.
         hand: Link at the end of the chain, or the name of a target on it; None: that of the tool.
         target: Name of the target that is the tool; None: it is none.
+        base: Link in whose frame the commands are; None: that of the first measurement frame that sees the hand.
 
     Raises:
-        ModelError: No chain, or several, are named.
+        ModelError: No chain, or several, are named; or one from the base has a joint that was not calibrated.
+        UrdfError: There is no such base, or no chain from it.
     """
     links = dict(zip(result.setup.targets, result.setup.target_links, strict=True))
     link = links.get(hand or "", hand) or links.get(target or "")
@@ -351,7 +355,17 @@ def chain_of_hand(result: Calibration, hand: str | None, target: str | None) -> 
             f"with one of the targets {choices(links)}."
         )
     # Seen from several links, a tip has several chains; the commands are the same in the frame of the first.
-    return found[0].base, found[0].tip
+    if base is None:
+        return found[0].base, found[0].tip
+    chain = result.nominal.rebuilt(None, base, found[0].tip)
+    others = [name for name in chain.joint_names if name not in result.nominal.joint_names]
+    if others:
+        bases = dict.fromkeys(c.base for c in found)
+        raise ModelError(
+            f"--base {base}: from there to '{chain.tip}' the result has no joint {choices(others)}: it was not "
+            f"measured. Give --base with a link between calibrated joints, or leave it out for {choices(bases)}."
+        )
+    return chain.base, chain.tip
 
 
 def _pair_of_chain(

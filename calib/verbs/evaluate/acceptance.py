@@ -353,8 +353,9 @@ def assess(
 
     if calibration is None:
         urdf = evaluations["urdf"]
-        # A target that was given is where it was given, its orientation too.
-        given = replace(cell, estimate_target="target" in urdf.registered)
+        # A target that was given is where it was given, its orientation too; a clasp's is its tip.
+        is_given = cell.target is not None or bool(cell.targets)
+        given = replace(cell, estimate_target="target" in urdf.registered or not is_given)
         hint = find_usual_mistake(urdf.robot, given, table.select(registration_rows(table)))
     else:
         robot_now = evaluations["calibration"].robot

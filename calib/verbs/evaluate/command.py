@@ -188,6 +188,8 @@ def evaluate(
     elif result is None and cell.target is None and not cell.targets:
         cell = with_target_link(arm, cell)
         target_source = "as the URDF's link 'calib_target' has it"
+        if cell.target is None:  # nothing is estimated of it, as of a clasp's
+            target_source = "the tip itself"
     # Where the options give no frame or target, those of the result are taken.
     of_result = tuple(place for place in ("frame", "target") if place not in cell_options.given)
     assessment = assess(

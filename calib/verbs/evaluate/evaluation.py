@@ -248,8 +248,8 @@ def evaluate(
     Raises:
         ArgumentError: Robot, measurements or cell are of another type.
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
-        ModelError: Frames are taken from the earlier result, and the table has a station that it lacks and whose frame
-            is not to be registered; or ``which`` has another name.
+        ModelError: Where a further robot stands is not known; frames are taken from the earlier result, and the table
+            has a station that it lacks and whose frame is not to be registered; or ``which`` has another name.
     """
     arm, table, known_cell = inputs_of(robot, measurements, cell)
     check_names("which", which)
@@ -261,6 +261,8 @@ def evaluate(
         raise ModelError(
             f"The argument 'which' is {which!r}; it must be some of {choices(PLACES)}."
         )
+    if known is None:
+        _refuse_unknown_mounts(arm)
     if non_geometric is not None:
         payload = known_cell.payload or non_geometric.payload
         known_cell = replace(known_cell, payload=payload, gravity=non_geometric.gravity)
@@ -307,6 +309,19 @@ def evaluate(
         boards=known_cell.boards,
         images=images,
     )
+
+
+def _refuse_unknown_mounts(robot: Robot) -> None:
+    """Refuse further robots whose place is not stated, by a `ModelError`: it is not registered to the rows."""
+    for part in robot.parts:
+        if part.mount not in robot.mounts:
+            continue
+        if np.array_equal(robot.urdf.joint(part.mount).T_parent_joint, np.eye(4)):
+            name = part.name
+            raise ModelError(
+                f"Where the robot '{name}' stands is not stated, and an evaluation does not estimate it. State it in "
+                f"the cell file, xyz_mm and rpy_deg of [robots.{name}], or give the --calibration that found it."
+            )
 
 
 def registration_rows(measurements: Measurements) -> Mask:

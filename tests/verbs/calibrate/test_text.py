@@ -27,6 +27,7 @@ from calib.verbs.calibrate.text import (
     robustness_text,
 )
 from tests.parts import with_part
+from tests.two_handed import fitted
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +171,13 @@ def test_full_weights_beside_lowered_ones():
 def test_without_held_out_rows_no_error_is_said():
     nothing = Errors.of(np.zeros((0, 3)))
     assert robustness_text(Robustness(True, 2e-4, 5e-4, nothing, nothing)).endswith("at most.")
+
+
+def test_outliers_of_several_hands_name_the_hand():
+    c = fitted()
+    number, target = c.rows.numbers[1], c.rows.targets[1]
+    assert target == "b"
+    assert (
+        outliers_text(c, [Outlier(number, {"m": 1e-3}, 5.0)])
+        == f"row {number} ('b', 1.00 mm, 5.0 sigma)"
+    )

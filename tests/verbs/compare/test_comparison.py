@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from calib.basics.json_files import plain
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Verdict
-from calib.errors import FileError
+from calib.errors import FileError, ModelError
 from calib.example import PAPER_TARGET
 from calib.model.kinematics import Kinematics
 from calib.model.parameter_sets import error_model
@@ -26,11 +26,12 @@ from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
-from calib.verbs.compare.comparison import Comparison, compare
+from calib.verbs.compare.comparison import Comparison, Outcome, compare
 from calib.verbs.compare.drift import LEVEL
 from calib.verbs.compare.text import notes
 from tests.parts import with_part
 from tests.places import ROOT
+from tests.two_handed import fitted
 
 DOC = ROOT / "docs" / "comparison.md"
 
@@ -299,3 +300,14 @@ def test_every_kind_of_measurement(calibrated, name: str):
     everything = {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
     assert set(found.compensated) == ({"wrist_3_joint.zero"} if name == "held" else everything)
     assert np.isfinite(found.moves[0].rms_angle) == (name == "poses")
+
+
+def test_results_of_several_chains_are_of_the_same_chains_or_refused():
+    c = fitted()
+    (left, *_) = c.nominal.chains
+    alone = replace(c, nominal=left)
+    with pytest.raises(
+        ModelError, match=r"'panda', panda_link0 to panda_link8, right/panda_link8 w"
+    ):
+        compare(c, alone)
+    assert compare(c, fitted(2)).outcome in get_args(Outcome)

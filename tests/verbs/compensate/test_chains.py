@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.errors import ModelError
+from calib.errors import ModelError, UrdfError
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
 from calib.verbs.compensate.compensate import compensate
@@ -116,3 +116,22 @@ def test_only_joints_of_the_commanded_hand_are_warned_of():
     commands = compensate(c, Program.of_joints(beyond), tool="b", accept=True)
     joints = {warning.joint for row in commands.warnings for warning in row}
     assert not {name for name in joints if name in JOINTS}
+
+
+def test_a_base_is_honoured_if_all_joints_from_it_were_calibrated():
+    c = fitted()
+    right = chain_of_hand(c, "b", None, "right/panda_link0")
+    assert right == ("right/panda_link0", "right/panda_link8")
+    nominal = c.nominal.rebuilt(None, *right)
+    q = np.array([[0.3, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4]])
+    tool = pair_of(c, nominal, tool="b").actual.poses(q)
+    # The hand in its own base does not know where that stands.
+    whole = np.concatenate([np.zeros((1, 7)), q], axis=1)
+    T_frame_base = c.setup.T_frame_base[0]
+    T_root_tool = np.linalg.inv(T_frame_base) @ c.predict_poses(whole, target="b")
+    T_root_base = c.robot.urdf.joint("right/mount").T_parent_joint
+    np.testing.assert_allclose(T_root_base @ tool, T_root_tool, atol=1e-9)
+    with pytest.raises(ModelError, match=r"no joint 'panda_finger_joint1'"):
+        chain_of_hand(c, "b", None, "panda_leftfinger")
+    with pytest.raises(UrdfError, match="'nolink'"):
+        chain_of_hand(c, "b", None, "nolink")

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calib.data.cell import Cell, FurtherRobot
+from calib.data.measurements import Measurements
+from calib.errors import ModelError
 from calib.result.calibration import Calibration
+from calib.robot.robot import Robot
 from calib.verbs.evaluate.acceptance import assess
+from calib.verbs.evaluate.evaluation import evaluate
 from calib.verbs.evaluate.report import summary
-from tests.two_handed import fitted
+from tests.two_handed import CELL, JOINTS, fitted
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +45,27 @@ def test_errors_are_those_of_the_fit_by_chain(read):
 
 
 def test_one_chain_has_no_errors_by_chain(paper_table, ur3):
-    from calib.verbs.evaluate.evaluation import evaluate
-
     assert evaluate(ur3, paper_table).errors_by_chain == {}
+
+
+def test_a_robot_whose_place_is_not_known_is_not_evaluated():
+    c = fitted()
+    table = c.fit.measurements
+    with pytest.raises(ModelError, match=r"'right' stands is not stated.*\[robots.right\]"):
+        evaluate("panda", table, CELL)
+    placed = FurtherRobot("panda", T_root_base=c.robot.urdf.joint("right/mount").T_parent_joint)
+    found = evaluate("panda", table, replace(CELL, robots={"right": placed}))
+    assert np.linalg.norm(found.residual, axis=1).max() < 0.02
+
+
+def test_a_clasp_is_evaluated_without_a_result():
+    """Nothing is registered of its target, and none has to be stated."""
+    q = np.tile([[0.3, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4]], (3, 1)) + 0.01 * np.eye(7)[:3]
+    table = Measurements(JOINTS, q, np.full((3, 3), np.nan), kinds=("clasp",) * 3)
+    robot = Robot.load("panda", tip="panda_link8")
+    assessment = assess(robot, table, Cell())
+    found = assessment.evaluations["urdf"]
+    assert found.registered == ("frame",)
+    p = robot.poses(q)[:, :3, 3]
+    away = np.linalg.norm(p - p.mean(axis=0), axis=1)
+    np.testing.assert_allclose(np.linalg.norm(found.residual[:, :3], axis=1), away, atol=1e-6)
