@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.boards.board import Board
+from calib.camera.board_pose import move_poses, view_system
 from calib.camera.camera import Camera
 from calib.camera.initial_intrinsics import Bundle, initial_intrinsics, refine_bundle
 from calib.camera.lenses import LENSES
-from calib.camera.planar_pose import move_poses, view_system
 from calib.errors import MeasurementError
 
 POINTS = Board(pattern="chessboard", columns=7, rows=5, square=0.03).corners

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.boards.board import Board
+from calib.camera.board_pose import board_pose, homography
 from calib.camera.lenses import LENSES
-from calib.camera.planar_pose import homography, planar_pose
 from tests.camera.lens_values import VALUES
 
 POINTS = Board(pattern="chessboard", columns=7, rows=5, square=0.03).corners
@@ -37,7 +37,7 @@ def images(name, T, values=None):
 def test_pose_is_exact_without_noise(name, tilt):
     for seed in range(5):
         T = pose(tilt, seed)
-        found = planar_pose(POINTS, images(name, T), LENSES[name], VALUES[name])
+        found = board_pose(POINTS, images(name, T), LENSES[name], VALUES[name])
         np.testing.assert_allclose(found.T_camera_board, T, atol=1e-8)
         assert found.rms < 1e-6
 
@@ -49,7 +49,7 @@ def test_pose_is_that_of_opencv_with_noise():
     for seed in range(20):
         pixels = images("pinhole", pose(0.6, seed)) + rng.normal(scale=0.3, size=(len(POINTS), 2))
         ok, r, t = cv2.solvePnP(POINTS, pixels, K, v[4:])
-        found = planar_pose(POINTS, pixels, LENSES["pinhole"], v).T_camera_board
+        found = board_pose(POINTS, pixels, LENSES["pinhole"], v).T_camera_board
         assert ok
         np.testing.assert_allclose(found[:3, 3], t[:, 0], atol=2e-5)
         np.testing.assert_allclose(found[:3, :3], cv2.Rodrigues(r)[0], atol=1e-4)
@@ -64,7 +64,7 @@ def test_a_board_whose_origin_is_behind_the_camera_is_in_front_of_it(name):
     P = points @ T[:3, :3].T + T[:3, 3]
     assert P[:, 2].min() > 0.05
     pixels = LENSES[name].project(P, VALUES[name])
-    found = planar_pose(points, pixels, LENSES[name], VALUES[name])
+    found = board_pose(points, pixels, LENSES[name], VALUES[name])
     np.testing.assert_allclose(found.T_camera_board, T, atol=1e-8)
 
 
@@ -72,13 +72,13 @@ def test_a_board_whose_origin_is_behind_the_camera_is_in_front_of_it(name):
     "pixels", [np.ones((24, 2)), np.full((24, 2), np.nan), np.arange(48.0).reshape(24, 2)]
 )
 def test_images_at_one_place_or_on_a_line_tell_no_pose(pixels):
-    assert planar_pose(POINTS, pixels, LENSES["pinhole"], VALUES["pinhole"]) is None
+    assert board_pose(POINTS, pixels, LENSES["pinhole"], VALUES["pinhole"]) is None
 
 
 def test_the_other_pose_is_tilted_the_other_way():
     T = pose(0.3)
     T[2, 3] += 2.0  # so far away that both tilts fit
-    result = planar_pose(POINTS, images("pinhole", T), LENSES["pinhole"], VALUES["pinhole"])
+    result = board_pose(POINTS, images("pinhole", T), LENSES["pinhole"], VALUES["pinhole"])
     sight = T[:3, :3] @ POINTS.mean(axis=0) + T[:3, 3]
     sight /= np.linalg.norm(sight)
     normal = T[:3, 2]
@@ -97,10 +97,10 @@ def test_covariance_is_that_of_monte_carlo():
     errors = []
     for _ in range(300):
         noisy = exact + rng.normal(scale=0.2, size=exact.shape)
-        found = planar_pose(POINTS, noisy, lens, values).T_camera_board
+        found = board_pose(POINTS, noisy, lens, values).T_camera_board
         turn = Rotation.from_matrix(found[:3, :3] @ T[:3, :3].T).as_rotvec()
         errors.append(np.concatenate([found[:3, 3] - T[:3, 3], turn]))
-    expected = 0.04 * planar_pose(POINTS, exact, lens, values).covariance
+    expected = 0.04 * board_pose(POINTS, exact, lens, values).covariance
     ratio = np.var(errors, axis=0) / np.diagonal(expected)
     np.testing.assert_allclose(ratio, 1.0, atol=0.3)
     whitened = np.linalg.solve(np.linalg.cholesky(expected), np.transpose(errors))
@@ -110,7 +110,7 @@ def test_covariance_is_that_of_monte_carlo():
 @pytest.mark.parametrize("points", [POINTS[:3], POINTS[:6], np.zeros((5, 3))])
 def test_too_few_points_or_points_on_a_line_tell_no_pose(points):
     pixels = np.random.default_rng(0).uniform(0, 500, (len(points), 2))
-    assert planar_pose(points, pixels, LENSES["pinhole"], VALUES["pinhole"]) is None
+    assert board_pose(points, pixels, LENSES["pinhole"], VALUES["pinhole"]) is None
 
 
 def test_homography_takes_points_to_their_images():
