@@ -47,6 +47,26 @@ def scene(name, count=6):
     return T, views
 
 
+def body_views(count=20):
+    """Views of a cube's tags by the pinhole camera, of two faces and of three."""
+    rng = np.random.default_rng(4)
+    face = np.array([[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]])
+    cube = np.concatenate([np.insert(face, axis, -0.04, axis=1) for axis in range(3)])
+    views = []
+    for k in range(count):
+        towards = Rotation.align_vectors([[0.0, 0.0, 1.0]], [[1.0, 1.0, 1.0]])[0]
+        R = (Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3)) * towards).as_matrix()
+        points = cube[: 8 + 4 * (k % 2)]
+        P = points @ R.T + [*rng.uniform(-0.15, 0.15, 2), rng.uniform(0.25, 0.5)]
+        views.append((points, LENSES["pinhole"].project(P, TRUTH["pinhole"])))
+    return views
+
+
+def test_views_of_a_body_tell_the_intrinsics():
+    found = initial_intrinsics(Camera(width=1280, height=720), body_views())
+    np.testing.assert_allclose(found[:4], TRUTH["pinhole"][:4], rtol=0.02)
+
+
 def bundle(name):
     std = np.array([300.0, 300.0, 100.0, 100.0, *[0.5] * (len(TRUTH[name]) - 4)])
     return Bundle(LENSES[name], TRUTH[name] * 1.01, std)
