@@ -16,32 +16,39 @@ import argparse
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 
 import boards_study
 import numpy as np
 import pinocchio as pin
 from boards_study import CUBE_FACES, CUBE_SIDE, FOCAL, SIZE, TAG_SIDE, cube
-from cell_truth import TrueCell, draw_cell
+from cell_truth import ANGLE, LENGTH, TrueCell, draw_cell
 from studies import run_jobs, study_parser
 
-from calib.basics.arrays import Array, Mask
-from calib.boards.bodies import tag_at
+from calib.basics.arrays import Array, Integers, Mask
 from calib.boards.board import Board
+from calib.boards.bodies import Tag, tag_at
 from calib.boards.detection.copies import as_it_is
 from calib.boards.detection.picture import Search, search_image
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.data.priors import Priors
+from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.model.kinematics import Samples
 from calib.model.observability import steps
 from calib.numerics.errors import interval_factor
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
+from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 
-#: Standard deviation of a corner's place on its body, along each axis [m], and of a glued tag, along each and about [rad].
+#: Standard deviation of a corner's place on its body, along each axis [m], and of a glued tag, along each and about
+#: each [rad].
 CORNER = 3e-4
 GLUED = 2.5e-4
 GLUED_TURN = 4e-3
@@ -81,7 +88,7 @@ def icosahedron() -> Board:
     for a, b in ((1.0, golden), (-1.0, golden), (1.0, -golden), (-1.0, -golden)):
         vertices += [(0.0, a, b), (a, b, 0.0), (b, 0.0, a)]
     points = np.array(vertices)
-    tags = []
+    tags: list[Tag] = []
     for face in combinations(range(12), 3):
         triangle = points[list(face)]
         sides = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1)
@@ -139,9 +146,7 @@ class Scene:
                 seen.append(visible)
         return np.array(q), seen
 
-    def table(
-        self, q: Array, ids: list[Array], pixels: list[Array], sigma: list[Array] | None = None
-    ) -> Measurements:
+    def table(self, q: Array, ids: list[Integers], pixels: list[Array]) -> Measurements:
         """Return the table of corners by their ids and pixels (k, 2), of each picture."""
         rows = [len(of_picture) for of_picture in ids]
         every = np.concatenate(ids)
@@ -166,9 +171,9 @@ class Scene:
             pixels.append(exact + noise * rng.standard_normal(exact.shape))
         return self.table(q, [np.flatnonzero(visible) for visible in seen], pixels)
 
-    def calibrated(self, table: Measurements, camera: Camera = CAMERA) -> Calibration:
-        """Calibrate by a table: camera, body and their poses are what calib is told, or not told."""
-        cell = Cell(
+    def cell(self, camera: Camera) -> Cell:
+        """Return what calib is told: the camera's lens and the body, and nothing of where they are."""
+        return Cell(
             estimate_frame=True,
             model="placement",
             cameras={"": camera},
@@ -176,7 +181,10 @@ class Scene:
             base="panda_link0",
             tip="panda_link8",
         )
-        return calibrate("panda", table, cell=cell, validate=False)
+
+    def calibrated(self, table: Measurements, camera: Camera = CAMERA) -> Calibration:
+        """Calibrate by a table."""
+        return calibrate("panda", table, cell=self.cell(camera), validate=False)
 
 
 def draw_scene(board: Board, corners: Array, rng: np.random.Generator) -> Scene:
@@ -184,7 +192,9 @@ def draw_scene(board: Board, corners: Array, rng: np.random.Generator) -> Scene:
     z = (TOWARDS - PLACE) / np.linalg.norm(TOWARDS - PLACE)
     y = np.array([0.0, 0.0, -1.0])
     R = np.column_stack([np.cross(y, z), y, z])
-    place = pin.SE3(R @ pin.exp3(0.05 * rng.standard_normal(3)), PLACE + 0.03 * rng.standard_normal(3))
+    place = pin.SE3(
+        R @ pin.exp3(0.05 * rng.standard_normal(3)), PLACE + 0.03 * rng.standard_normal(3)
+    )
     held = pin.SE3(pin.exp3(0.1 * rng.standard_normal(3)), np.array([0.0, 0.0, 0.12]))
     truth = draw_cell(
         read_urdf("panda").data.decode(),
@@ -237,73 +247,73 @@ class Figures:
     square: float
     #: The Cramer-Rao bound of the same [m^2]
     bound: float
-    #: Share of coordinates within their 95 % intervals
+    #: Share of coordinates of positions, and of errors of corners, within their 95 % intervals
     covered: float
-    #: Share of errors of corners within their 95 % intervals, and their rms error over the prior
     corners_covered: float
-    corners_share: float
 
 
-def figures_of(name: str, seed: int) -> Figures:
-    """Return the figures of one run."""
+def figures_of(name: str, source: str, seed: int) -> Figures:
+    """Return the figures of one run, with prior standard deviations of the robot from the ``source``."""
     rng = np.random.default_rng(seed)
     body = cube() if name == "cube" else icosahedron()
     board = replace(body, sigma_scale=0.0, sigma_corner=CORNER)
     offsets = CORNER * rng.standard_normal(board.corners.shape)
     scene = draw_scene(board, board.corners + offsets, rng)
-    result = scene.calibrated(scene.measured(rng, NOISE))
-    part = result.geometry
+    table = scene.measured(rng, NOISE)
+    cell = replace(
+        scene.cell(CAMERA), priors=Priors(source, length=LENGTH, angle=ANGLE, zero=ANGLE)
+    )
+    robot = Robot.load("panda", base="panda_link0", tip="panda_link8")
+    rows, setup = rows_and_setup(robot, table, cell)
+    fitted = fit(Task(robot, cell, setup, cell.model), rows)
+    estimate, model = fitted.estimate, fitted.kinematics.model
+
     q, _ = scene.poses(rng, FRESH)
-    order = [scene.truth.joints.index(joint) for joint in result.nominal.joint_names]
-    samples = result.samples(q[:, order])
-    poses, J = part.kinematics.twists(part.x, samples, rotation=False)
+    order = [scene.truth.joints.index(joint) for joint in robot.joint_names]
+    poses, twists = fitted.kinematics.twists(estimate.x, Samples.at(q[:, order]))
+    J = twists[:, :3]
     error = poses[:, :3, 3] - np.array([scene.pose(values)[:3, 3] for values in q])
-    problem = result.fit.geometry.estimate.problem
-    bound = np.einsum("nip,pq,niq->", J, information_inverse(problem, part.x), J)
-    variance = np.einsum("nip,pq,niq->ni", J, part.covariance, J)
-    factor = interval_factor(result.fit.geometry.estimate.freedom)
+    bound = np.einsum("nip,pq,niq->", J, bound_of(estimate.problem, estimate.x), J)
+    variance = np.einsum("nip,pq,niq->ni", J, estimate.covariance, J)
+    factor = interval_factor(estimate.freedom)
     numbers, true = [], []
-    for k, parameter in part.kinematics.model.internals:
+    for k, parameter in model.internals:
         _, corner, axis = parameter.name.split("_")
         numbers.append(k)
         true.append(offsets[int(corner), "xyz".index(axis)])
-    off = part.x[numbers] - true
-    inside = np.abs(off) <= factor * np.sqrt(np.diagonal(part.covariance)[numbers])
+    off = estimate.x[numbers] - true
+    width = factor * np.sqrt(np.diagonal(estimate.covariance)[numbers])
     return Figures(
         square=float(np.mean(np.sum(error**2, axis=1))),
         bound=float(bound) / len(error),
         covered=float(np.mean(np.abs(error) <= factor * np.sqrt(variance))),
-        corners_covered=float(np.mean(inside)),
-        corners_share=float(np.sqrt(np.mean(off**2)) / CORNER),
+        corners_covered=float(np.mean(np.abs(off) <= width)),
     )
 
 
-def information_inverse(problem: Problem, x: Array) -> Array:
-    """Return the bound (p, p) with known noise, the prior of the corners, and none of the robot."""
-    rows = problem.rows
+def bound_of(problem: Problem, x: Array) -> Array:
+    """Return the bound (p, p) with the noise and the priors that the truth is drawn from; none of camera and body."""
+    rows, model = problem.rows, problem.kinematics.model
     A = (problem.prediction_jacobian(x) / NOISE)[rows.used]
-    model = problem.kinematics.model
-    prior = np.zeros((len(model.internals), A.shape[1]))
-    for row, (k, _) in enumerate(model.internals):
-        prior[row, k] = 1.0 / CORNER
+    std = {"length": LENGTH, "angle": ANGLE, "zero": ANGLE, "board": CORNER}
+    prior = [1.0 / std.get(parameter.family, np.inf) for parameter in model.parameters]
     step = steps(model.units)
-    inverse = np.linalg.pinv(np.concatenate([A, prior]) * step, rcond=1e-7)
+    inverse = np.linalg.pinv(np.concatenate([A, np.diag(prior)]) * step, rcond=1e-12)
     return np.asarray(inverse @ inverse.T) * np.outer(step, step)
 
 
 def run_bound(arguments: argparse.Namespace) -> Iterator[str]:
-    """Yield error over the bound and coverage of each body."""
-    for name in ("cube", "icosahedron"):
-        cases = [(name, arguments.seed + k) for k in range(arguments.count)]
+    """Yield error over the bound and coverage of each body, with priors given and from the data."""
+    for name, source in product(("cube", "icosahedron"), ("given", "data")):
+        cases = [(name, source, arguments.seed + k) for k in range(arguments.count)]
         runs = list(run_jobs(figures_of, cases, workers=arguments.workers, label=name))
         ratio = np.sqrt(sum(run.square for run in runs) / sum(run.bound for run in runs))
         error = 1e3 * np.sqrt(np.mean([run.square for run in runs]))
         covered = 100.0 * np.mean([run.covered for run in runs])
         corners = 100.0 * np.mean([run.corners_covered for run in runs])
-        share = np.sqrt(np.mean([run.corners_share**2 for run in runs]))
         yield (
-            f"{name}: error {error:.3f} mm, over the bound {ratio:.3f}, covered {covered:.1f} %; corners off by "
-            f"{share:.2f} of their prior, covered {corners:.1f} %"
+            f"{name}, priors {source}: error {error:.3f} mm, over the bound {ratio:.3f}, covered {covered:.1f} %; "
+            f"corners covered {corners:.1f} %"
         )
 
 
@@ -367,7 +377,7 @@ def run_pictures(arguments: argparse.Namespace) -> Iterator[str]:
                 pixels.append(view.pixels)
         table = scene.table(q[used], ids, pixels)
         fresh, _ = scene.poses(rng, FRESH)
-        figures = []
+        figures: list[str] = []
         for name, sigma, camera in (
             ("stated", CORNER, CAMERA),
             ("stated, lens unknown", CORNER, UNKNOWN_CAMERA),
@@ -376,17 +386,16 @@ def run_pictures(arguments: argparse.Namespace) -> Iterator[str]:
             told = replace(scene, board=replace(board, sigma_corner=sigma))
             result = told.calibrated(table, camera)
             order = [scene.truth.joints.index(joint) for joint in result.nominal.joint_names]
-            figures.append(f"{name} {1e3 * hand_error(scene, result, fresh, order):.3f}")
+            if not figures:
+                nominal = result.nominal.poses(fresh[:, order])
+                figures.append(f"nominal {1e3 * hand_error(scene, nominal, fresh):.3f}")
+            found = result.robot.poses(fresh[:, order])
+            figures.append(f"corners {name} {1e3 * hand_error(scene, found, fresh):.3f}")
         yield f"seed {seed}: {len(used)} of {len(q)} pictures; error of the hand [mm]: {', '.join(figures)}"
 
 
-def hand_error(scene: Scene, result: Calibration, q: Array, order: list[int]) -> float:
-    """Return the rms error of the hand's middle in the robot's base, but for a motion of camera and body [m].
-
-    The places of camera and body are no business of the robot: constant motions X and Y that align X T Y with the true
-    poses are left out, by the best X of the points on the hand.
-    """
-    found = result.robot.poses(q[:, order])
+def hand_error(scene: Scene, found: Array, q: Array) -> float:
+    """Return the rms error of three points on the hand at poses ``found``, (n, 4, 4), but for one motion of all [m]."""
     model, data = scene.truth.true, scene.truth.true.createData()
     link = model.getFrameId("panda_link8")
     points = np.array([[0.0, 0.0, 0.12, 1.0], [0.06, 0.0, 0.12, 1.0], [0.0, 0.06, 0.12, 1.0]])

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
-from calib.boards.board import CHARUCO, Board
+from calib.boards.board import BODY, CHARUCO, Board
 from calib.boards.printed import Print, draw_print
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
@@ -70,10 +70,15 @@ def draw_equipment(robot: Robot, cell: Cell, seed: int) -> Equipment:
         The stated camera, the true one, and the board as it is printed.
 
     Raises:
-        CalibError: The cell has several cameras or boards.
+        CalibError: The cell has several cameras or boards, or a body of tags.
     """
     stated = _only(cell.cameras, "cameras") or usual_camera()
     board = _only(cell.boards, "boards") or usual_board(robot)
+    if board.pattern == BODY:
+        raise CalibError(
+            f"The board '{board.name}' is a body of tags, whose far tags a camera does not see; pictures are simulated "
+            "of flat boards. Give one of its size."
+        )
     camera = draw_camera(stated, stream(seed, "camera"))
     return Equipment(stated, camera, draw_print(board, stream(seed, "board")))
 
