@@ -71,6 +71,26 @@ def test_a_fit_recovers_arm_camera_and_print():
         assert estimated[name] == pytest.approx(value, abs=5e-4)
 
 
+def test_a_board_that_only_held_out_images_show_is_placed_with_the_lens_as_estimated():
+    """By the lens that was given, of a centre 30 px off, it would be placed, and predicted, elsewhere."""
+    robot = arm()
+    given = VALUES["pinhole"] + [0.0, 0.0, 30.0, -20.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    sigma = np.array([0.0, 0.0, 50.0, 50.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    exact = replace(BOARD, sigma_scale=0.0, sigma_warp=0.0, sigma_corner=0.0)
+    c = cell(cameras={"": camera(values=given, sigma=sigma)}, boards={"": exact})
+    m = table(poses(16))
+    later = np.array([int(name[:-4]) >= 10 for name in m.images])
+    m = replace(m, targets=tuple(np.where(later, "there", "here").tolist()))
+    rows, setup = rows_and_setup(robot, m, c)
+    here, there = rows.select(~later), rows.select(later)
+    of_here = np.array([name == "here" for name in setup.targets])
+    seen = setup.with_fixed(np.zeros(len(setup.groups), dtype=bool), ~of_here)
+    unseen = setup.with_fixed(np.ones(len(setup.groups), dtype=bool), of_here)
+    fitted = fit(Task(robot, c, seen, "frames"), here).with_held_out(unseen, there)
+    assert np.abs(fitted.residual(here)).max() < 0.01
+    assert np.abs(fitted.residual(there)).max() < 0.01
+
+
 def test_a_fit_finds_where_the_corners_of_a_body_are():
     """As well along z as across it; what all of them share is a motion of the body, which nothing else tells."""
     rng = np.random.default_rng(2)
