@@ -55,6 +55,10 @@ class TrueCell:
     targets: Mapping[str, tuple[str, pin.SE3]]
     #: Joints that move.
     joints: list[str] = field(init=False)
+    #: Their limits, (n,) each [rad or m].
+    _limits: tuple[Array, Array] = field(init=False)
+    #: Pinocchio's own memory of the nominal and the true robot: as much as a pose takes otherwise.
+    _data: tuple[pin.Data, pin.Data] = field(init=False)
     #: For each camera that is aimed the posture at which it is, (n,).
     _postures: dict[str, Array] = field(init=False, default_factory=dict)
 
@@ -64,6 +68,15 @@ class TrueCell:
         common = set.intersection(*supports)
         moving = sorted(set.union(*supports) - common)
         object.__setattr__(self, "joints", [self.true.names[j] for j in moving])
+        limits = []
+        for joint in (self.true.joints[j] for j in moving):
+            lower, upper = -LARGEST, LARGEST
+            if joint.nq == 1:
+                lower = max(self.true.lowerPositionLimit[joint.idx_q], lower)
+                upper = min(self.true.upperPositionLimit[joint.idx_q], upper)
+            limits.append((lower, upper))
+        object.__setattr__(self, "_limits", tuple(np.array(limits).T))
+        object.__setattr__(self, "_data", (self.nominal.createData(), self.true.createData()))
 
     @property
     def links(self) -> list[str]:
@@ -83,17 +96,7 @@ class TrueCell:
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """Draw joint values, shape (count, n), [rad] or [m]."""
-        low, high = [], []
-        for name in self.joints:
-            joint = self.true.joints[self.true.getJointId(name)]
-            limits = -LARGEST, LARGEST
-            if joint.nq == 1:
-                lower = self.true.lowerPositionLimit[joint.idx_q]
-                upper = self.true.upperPositionLimit[joint.idx_q]
-                limits = max(lower, -LARGEST), min(upper, LARGEST)
-            low.append(limits[0])
-            high.append(limits[1])
-        return rng.uniform(low, high, (count, len(self.joints)))
+        return rng.uniform(*self._limits, (count, len(self.joints)))
 
     def fresh(self, rng: np.random.Generator, frame: str, count: int) -> Array:
         """Draw joint values, (count, n), at which to predict what a frame sees: of a camera those near its posture."""
@@ -117,11 +120,12 @@ class TrueCell:
 
     def pose(self, values: Array, frame: str, target: str, *, nominal: bool = False) -> pin.SE3:
         """Return T_frame_target at joint values, (n,)."""
-        model = self.nominal if nominal else self.true
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, self.configuration(values))
+        model, data = (self.nominal if nominal else self.true), self._data[0 if nominal else 1]
+        pin.forwardKinematics(model, data, self.configuration(values))
         (base, T_base_frame), (tip, T_tip_target) = self.frames[frame], self.targets[target]
-        T_base_tip = data.oMf[model.getFrameId(base)].inverse() * data.oMf[model.getFrameId(tip)]
+        T_world_base = pin.updateFramePlacement(model, data, model.getFrameId(base))
+        T_world_tip = pin.updateFramePlacement(model, data, model.getFrameId(tip))
+        T_base_tip = T_world_base.inverse() * T_world_tip
         return T_base_frame.inverse() * T_base_tip * T_tip_target
 
     def aimed(self, rng: np.random.Generator, seen: Iterable[tuple[str, str]]) -> TrueCell:

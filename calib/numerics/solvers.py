@@ -38,6 +38,9 @@ _LOWEST_DAMPING = 1e-15
 #: With more damping no step is long enough to change x.
 _HIGHEST_DAMPING = 1e12
 
+#: Columns that LAPACK's QR takes at a time: it needs room for as many. By default it has room for three.
+_QR_BLOCK = 32
+
 #: x, shape (p,) -> residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
 System = Callable[[Array], tuple[Array, Array]]
 
@@ -370,7 +373,7 @@ def triangle(A: Array) -> Array:
     height = min(A.shape)
     if not A.size:  # LAPACK refuses it
         return np.zeros((height, A.shape[1]))
-    factored, *_ = dgeqrf(A, overwrite_a=1)
+    factored, *_ = dgeqrf(A, lwork=_QR_BLOCK * A.shape[1], overwrite_a=1)
     return np.triu(factored[:height])
 
 

@@ -163,7 +163,8 @@ def _fit_zeros(geometry: Fitted) -> tuple[Fitted, Mask]:
     if not task.has_weights_and_priors:
         task = replace(task, solver="lm")
     while True:
-        fitted = fit(task, geometry.estimate.problem.rows, reference=geometry)
+        rows = geometry.estimate.problem.rows
+        fitted = fit(task, rows, reference=geometry, near=geometry.near)
         x, model = fitted.estimate.x, fitted.kinematics.model
         identifiable = fitted.estimate.problem.observability(x).identifiable
         undetermined = model.of_robot & ~identifiable

@@ -162,9 +162,7 @@ def _fit_models(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Ca
     if name == reference.kinematics.model.name:
         return reference, None, candidates
     of_geometry = replace(task, model=name, allow_absent=True)
-    # Of images the corners and the lens, most of the parameters, hardly change with the robot's model.
-    near = (reference,) if np.any(rows.has_views) else ()
-    geometry = fit(of_geometry, rows, registered=reference.setup, near=near)
+    geometry = fit(of_geometry, rows, registered=reference.setup, near=reference.near)
     return with_better_weights(geometry, rows, reference), reference, candidates
 
 

@@ -69,6 +69,14 @@ class Fitted(Value):
         T_target_tip = np.linalg.inv(setup.T_tip_target)[samples.target]
         return np.asarray(T_base_frame @ T_frame_target @ T_target_tip)
 
+    @property
+    def near(self) -> tuple[Fitted, ...]:
+        """The fits where others to the same rows are to begin: this one, of images; none, of rows without views.
+
+        Corners and lenses, most of the parameters of images, hardly change with the robot's model or the weights.
+        """
+        return (self,) if np.any(self.estimate.problem.rows.has_views) else ()
+
     def with_held_out(self, held_out: Setup, rows: Rows) -> Fitted:
         """Return the fit with frames and targets that only held-out rows see registered to these rows.
 

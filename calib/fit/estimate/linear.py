@@ -118,19 +118,24 @@ class LinearProblem(Value):
 
         # By the products [A r]^T W [A r] of each channel.
         size = len(self.columns)
-        count = np.zeros((len(weights), len(self.smallest_noise)))
+        of_channels = [np.equal(self.channels.index.T, c) for c in range(len(self.smallest_noise))]
+        scalars = np.array([of_channel.sum(axis=0) for of_channel in of_channels])
+        count = weights @ scalars.T
         products = np.zeros((*count.shape, size, size))
+        log_det = np.zeros(len(weights))
         root_weights = np.sqrt(weights)
-        for c in range(len(self.smallest_noise)):
-            of_channel = np.equal(self.channels.index.T, c)
-            scalars = of_channel.sum(axis=0, dtype=np.float64)
-            count[:, c] = weights @ scalars
-            products[:, c] = self._weighted_products(root_weights, of_channel)
-        log_det: Array | float = 0.0
-        if self.stops is not None and np.any(stop_shares):
+        if self.stops is None or not np.any(stop_shares):
+            for c, of_channel in enumerate(of_channels):
+                products[:, c] = self._products(self.columns, root_weights, of_channel)
+        else:
             shares = np.broadcast_to(stop_shares, (*count.shape, stop_shares.shape[-1]))
-            changes, log_det = self.stops.corrections(self.columns, weights, shares)
-            products = products + changes
+            weighted = np.ones((1, len(self)))
+            for b, root in enumerate(root_weights):
+                independent, log_det[b] = self.stops.independent(
+                    self.columns * root, weights[b], shares[b]
+                )
+                for c, of_channel in enumerate(of_channels):
+                    products[b, c] = self._products(independent, weighted, of_channel)[0]
 
         p = len(self.x)
         H = products[..., :p, :p]
@@ -144,10 +149,11 @@ class LinearProblem(Value):
         self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
         return equations
 
-    def _weighted_products(self, root_weights: Array, of_channel: Mask) -> Array:
+    def _products(self, columns: Array, root_weights: Array, of_channel: Mask) -> Array:
         """The products [A r]^T W [A r] over the scalars of one channel, for B fits, shape (B, p + 1, p + 1).
 
-        W has the weights of the rows, whose roots are given, (B, N), for the scalars of the channel, True in (D, N).
+        [A r] are columns (p + 1, D, N); W has the weights of the rows, whose roots are given, (B, N), for the scalars
+        of the channel, True in (D, N).
         """
         with_any = np.flatnonzero(of_channel.any(axis=1))
         first = with_any.min(initial=len(of_channel))
@@ -157,10 +163,10 @@ class LinearProblem(Value):
 
         def product(rows: slice) -> Array:
             """The products over some of the rows."""
-            columns = self.columns[:, scalars, rows]
+            of_rows = columns[:, scalars, rows]
             of_fits = []
             for factor_of_fit in factor[:, :, rows]:
-                part = (columns * factor_of_fit).reshape(len(columns), -1)
+                part = (of_rows * factor_of_fit).reshape(len(columns), -1)
                 of_fits.append(part @ part.T)
             return np.array(of_fits)
 

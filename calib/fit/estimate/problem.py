@@ -347,7 +347,7 @@ class Problem(Value):
         """
         whiten = (np.sqrt(self.weights)[:, None] / self.noise_by_scalar).T
         if self.stops is not None and np.any(self.stop_shares):
-            columns = self.stops.independent(columns * whiten, self.weights, self.stop_shares)
+            columns, _ = self.stops.independent(columns * whiten, self.weights, self.stop_shares)
             whiten = np.ones(whiten.shape)
         used = self.rows.used.T
         if len(self.weights) <= _TALL:
@@ -376,7 +376,7 @@ class Problem(Value):
         """
         if self.stops is None or not np.any(self.stop_shares):
             return values
-        columns = self.stops.independent(values.transpose(2, 1, 0), weights, self.stop_shares)
+        columns, _ = self.stops.independent(values.transpose(2, 1, 0), weights, self.stop_shares)
         return np.asarray(columns.transpose(2, 1, 0))
 
 

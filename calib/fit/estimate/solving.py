@@ -23,7 +23,8 @@ from calib.fit.estimate.task import Task
 from calib.model.observability import steps
 from calib.numerics.solvers import SOLVERS, Solution
 
-#: Tolerance of a solve between stages, whose weights and priors change far more, in steps of 1 mm and 1 mrad.
+#: Tolerance of a solve between stages, whose weights and priors change far more, in steps of 1 mm and 1 mrad; of images
+#: in standard deviations, if these are larger: a lens's last coefficient may be open to a thousand steps.
 _ROUGH = 0.1
 
 #: Tolerance of the last solve, in the same steps.
@@ -52,7 +53,7 @@ class StageSolver:
         """
         self._problem = problem
         self._solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
-        self._step_size = steps(problem.kinematics.model.units)
+        self._step = steps(problem.kinematics.model.units)
         self._x: Array = start.copy()
         self._solution: Solution | None = None  # Of all solves so far
         self._linear: LinearProblem | None = None  # At the solution of the last stage
@@ -71,8 +72,10 @@ class StageSolver:
             ArgumentError: A solver that a user wrote returned something else than a `Solution`.
             SolverError: The residual is not finite at the start.
         """
+        linear = self._problem.linear(self._x) if self._linear is None else self._linear
+        _, covariance, _ = stage.fit(linear)
         system = problem_at_stage(self._problem, stage).system
-        solution = self._solver(system, self._x, self._step_size, tolerance)
+        solution = self._solver(system, self._x, self._step_size(covariance), tolerance)
         if not isinstance(solution, Solution):  # of a solver that a user wrote
             raise ArgumentError(
                 f"The solver returned a value of the type {type(solution).__name__}; it must be a Solution "
@@ -96,31 +99,33 @@ class StageSolver:
         solution. Norms are over all parameters, in steps.
         """
 
-        def solution_of(linear: LinearProblem) -> Array:
-            """The parameters, (p,), that fit a linearised problem best at this stage."""
-            x, _, _ = stage.fit(linear)
-            of_fit: Array = x[0]
-            return of_fit
-
-        def length(change: Array) -> float:
-            """Length of a change of parameters, (p,), in steps of 1 mm and 1 mrad."""
-            return float(np.linalg.norm(change / self._step_size))
+        def step_to_solution(linear: LinearProblem, start: Array) -> tuple[Array, float]:
+            """The parameters that fit a linearised problem best, (p,), and how far they are from others, in steps."""
+            x, covariance, _ = stage.fit(linear)
+            step = (x[0] - start) / self._step_size(covariance)
+            return x[0], float(np.linalg.norm(step))
 
         if self._linear is not None:
-            x = solution_of(self._linear)
-            moved = length(x - self._x)
+            x, moved = step_to_solution(self._linear, self._x)
             if moved <= _ROUGH:  # the difference is of the order of 1e-8 m and rad
                 return self._linear
             if moved <= _CLOSE:
                 # A step as short as this needs no damping, if the next one confirms it.
                 linear = self._problem.linear(x)
-                if length(solution_of(linear) - x) <= _ROUGH:
+                _, further = step_to_solution(linear, x)
+                if further <= _ROUGH:
                     self._x = x
                     self._linear = linear
                     return linear
         self.solve(stage, _ROUGH)
         self._linear = self._problem.linear(self._x)
         return self._linear
+
+    def _step_size(self, covariance: Array) -> Array:
+        """The steps in which changes of parameters count, (p,), where they have a covariance (1, p, p)."""
+        if not np.any(self._problem.rows.has_views):
+            return self._step
+        return np.asarray(np.maximum(self._step, np.sqrt(np.diagonal(covariance[0]))))
 
 
 def estimate_with_priors(

@@ -45,7 +45,14 @@ _FEWEST_KEPT = 0.6
 ENOUGH = 20_000
 
 
-def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
+def register(
+    T_base_tip: Array,
+    setup: Setup,
+    rows: Rows,
+    *,
+    tolerance: float = 1e-12,
+    near: Setup | None = None,
+) -> Setup:
     """Estimate the unknown frames and targets on given poses of the robot: least squares, on a subsample of the rows.
 
     Args:
@@ -53,6 +60,7 @@ def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 
         setup: Frames and targets, with what is estimated of them.
         rows: N rows.
         tolerance: Relative fall of the sum of squares at which the refinement ends.
+        near: The setup as other rows registered it, where images begin in place of their views.
 
     Returns:
         The setup with the estimated poses; fixed ones, and those that no row observes, stay as they are.
@@ -77,7 +85,9 @@ def register(T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 
         _check_part(f"Station '{name}'", rows, of_frame, unknowns, points_needed=points_needed)
 
     sample = _subsample(rows)
-    return register_all_rows(T_base_tip[sample], setup, rows.select(sample), tolerance=tolerance)
+    return register_all_rows(
+        T_base_tip[sample], setup, rows.select(sample), tolerance=tolerance, near=near
+    )
 
 
 def register_all_rows(
@@ -86,6 +96,7 @@ def register_all_rows(
     rows: Rows,
     *,
     tolerance: float = 1e-12,
+    near: Setup | None = None,
 ) -> Setup:
     """Estimate the unknown frames and targets on given poses of the robot, by every row, however few there are.
 
@@ -94,6 +105,7 @@ def register_all_rows(
         setup: Frames and targets, with what is estimated of them.
         rows: N rows; they are not counted.
         tolerance: Relative fall of the sum of squares at which the refinement ends.
+        near: The setup as other rows registered it, where images begin in place of their views.
 
     Returns:
         The setup with the estimated poses; itself if nothing is estimated.
@@ -105,7 +117,8 @@ def register_all_rows(
     if not setup.count:
         return setup
     if np.any(rows.has_views):
-        starts = [_register_to_views(setup, T_base_tip, rows, tolerance)]
+        start = near or _register_to_views(setup, T_base_tip, rows, tolerance)
+        starts = [start]
     else:
         linear = linear_setup(setup, T_base_tip, rows)
         only_points = np.all(rows.where(lambda kind: kind.position and kind.size == 3))
@@ -175,13 +188,16 @@ def _settle(setup: Setup, rows: Rows) -> Setup:
     return setup.with_poses(T_frame_base, setup.T_tip_target)
 
 
-def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+def nominal_setup(
+    T_base_tip: Array, setup: Setup, rows: Rows, *, near: Setup | None = None
+) -> Setup:
     """Register, on the nominal robot, the frames and targets that were not given; outliers are rejected.
 
     Args:
         T_base_tip: shape (N, 4, 4), pose of the nominal robot's tip at each row [m].
         setup: Frames and targets; given ones stay as they were given, though the fit may estimate them.
         rows: N rows.
+        near: The setup as other rows registered it, where images begin in place of their views.
 
     Returns:
         The setup in which given frames and targets are marked as fixed, and the others have registered poses.
@@ -189,7 +205,7 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     Raises:
         MeasurementError: Fewer numbers than unknowns, or too few points, see `register`.
     """
-    return _register_without_outliers(T_base_tip, setup.with_given_fixed(), rows)
+    return _register_without_outliers(T_base_tip, setup.with_given_fixed(), rows, near)
 
 
 def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: Rows) -> Setup:
@@ -211,15 +227,19 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
     start = held_out.with_poses(fitted.T_frame_base, fitted.T_tip_target)
     # By the numbers of lens and print as the fit estimated them, with which these rows are predicted.
     start = replace(start, internals=fitted.internals)
-    registered = _register_without_outliers(T_base_tip[concerned], start, rows.select(concerned))
+    registered = _register_without_outliers(
+        T_base_tip[concerned], start, rows.select(concerned), None
+    )
     return fitted.with_poses(registered.T_frame_base, registered.T_tip_target)
 
 
-def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+def _register_without_outliers(
+    T_base_tip: Array, setup: Setup, rows: Rows, near: Setup | None
+) -> Setup:
     """Register frames and targets, repeatedly without the rows whose residual is far above the median.
 
-    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m]; of very many rows a part is used. It raises
-    `MeasurementError` if these are too few (`register`).
+    The tip is at T_base_tip at each of the N rows, (N, 4, 4) [m]; of very many rows a part is used. Images begin at the
+    setup ``near`` them, if there is one. It raises `MeasurementError` if the rows are too few (`register`).
     """
     if not setup.count:
         return setup
@@ -228,12 +248,13 @@ def _register_without_outliers(T_base_tip: Array, setup: Setup, rows: Rows) -> S
     rows = rows.select(sample)
     kept = np.ones(len(rows), dtype=bool)
     for _ in range(_OUTLIER_ROUNDS + 1):
-        registered = register(T_base_tip[kept], setup, rows.select(kept))
-        near = _near_rows(registered, T_base_tip, rows)
-        if near is None or np.array_equal(near, kept):
+        near = register(T_base_tip[kept], setup, rows.select(kept), near=near)
+        fitting = _near_rows(near, T_base_tip, rows)
+        if fitting is None or np.array_equal(fitting, kept):
             break
-        kept = near
-    return registered
+        kept = fitting
+    assert near is not None
+    return near
 
 
 def _near_rows(setup: Setup, T_base_tip: Array, rows: Rows) -> Mask | None:

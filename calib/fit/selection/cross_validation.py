@@ -113,9 +113,10 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     T_base_tip = task.robot.poses(rows.joints, rows.samples.chain)
     good = rows.evenly(ENOUGH) & rows.without(outliers)
     residuals = []
+    registered = None
     for mask in folds.masks:
         used = ~mask & good
-        registered = nominal_setup(T_base_tip[used], setup, rows.select(used))
+        registered = nominal_setup(T_base_tip[used], setup, rows.select(used), near=registered)
         T_held_out = T_base_tip[mask]
         residual = residual_after_registration(T_held_out, registered, rows, mask, used, outliers)
         residuals.append(residual)

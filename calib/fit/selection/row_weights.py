@@ -66,7 +66,7 @@ def with_better_weights(fitted: Fitted, rows: Rows, reference: Fitted) -> Fitted
         One of the two fits of the model; its scores are at most the reference's if that predicts better, both as
         shares of the limit from which on a fit flags a row.
     """
-    refitted = fit(fitted.task, rows, reference=reference)
+    refitted = fit(fitted.task, rows, reference=reference, near=fitted.near)
     in_both = fitted.estimate.outliers & reference.estimate.outliers
     by_fitted = _held_out_rms(fitted, in_both)
     by_refitted = _held_out_rms(refitted, in_both)
@@ -96,7 +96,7 @@ def fit_with_all_families(fitted: Fitted, rows: Rows) -> Fitted:
     families = tuple(family for family in offered if not family_of(family).rarity)
     model = model_name(str(fitted.task.model), families)
     task = replace(fitted.task, model=model, allow_absent=True)
-    return fit(task, rows, registered=fitted.setup)
+    return fit(task, rows, registered=fitted.setup, near=fitted.near)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +127,7 @@ def compare_weights(fitted: Fitted) -> Robustness:
     """
     rows = fitted.estimate.problem.rows
     task = replace(fitted.task, robust=not fitted.task.robust)
-    other = fit(task, replace(rows, weights=None), registered=fitted.setup)
+    other = fit(task, replace(rows, weights=None), registered=fitted.setup, near=fitted.near)
 
     # Distances between the points that both fits predict. If no row determines where the base stands, a motion of all
     # points as one body is left out.

@@ -25,12 +25,13 @@ The shares are estimated from the residuals of a fit by `calib.fit.estimate.spec
 target at a stop enter with their mean: what repeats share is found by `calib.fit.estimate.stages`. Each channel has
 shares of its own.
 
-`Problem` finds the `Stops` of a table. They have a part in the estimate at four places: `corrections` in the normal
-equations, `independent` in what a solver sees, `estimate_shares` in each stage, and `displacements` in the scores.
+`Problem` finds the `Stops` of a table. They have a part in the estimate at three places: `independent` in the normal
+equations and in what a solver sees, `estimate_shares` in each stage, and `displacements` in the scores.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -162,42 +163,7 @@ class Stops:
         shrunk = self.J / np.sqrt(np.maximum(often, 1))
         return replace(self, J=np.where(often > 0, shrunk, 0.0))
 
-    def corrections(self, columns: Array, weights: Array, rho: Array) -> tuple[Array, Array]:
-        """Correct the normal equations of independent rows for what the targets of a stop share.
-
-        Only the means X over the repeats of a target at a stop share it: weighted sums over the square root of the sum
-        of weights.
-
-        Args:
-            columns: shape (q, D, N), q columns of the table's scalars, such as Jacobian and residual, in units of each
-                scalar's given sigma.
-            weights: shape (B, N), of its rows in B fits, >= 0: the variance of a row's scalars is divided by its
-                weight.
-            rho: shape (B, C, 3), shares rho_t, rho_r and rho_q of each of C channels; where all are 0 there is nothing
-                to correct.
-
-        Returns:
-            What is to be added to the products of each fit and channel: X^T (K^-1 - I) X over all stops, shape
-            (B, C, q, q); and log det K over all stops and channels, shape (B,).
-        """
-        q = len(columns)
-        changes = np.zeros((*rho.shape[:2], q, q))
-        log_det = np.zeros(len(rho))
-        shares_any = np.argwhere(np.any(rho > 0.0, axis=2)).tolist()
-        for stops in self._parts():
-            X = stops._rows_of(columns)
-            for b, c in shares_any:
-                means, independent, of_channel = stops._independent_means(
-                    X, weights[b], c, rho[b, c]
-                )
-                means = means.reshape(-1, q)
-                independent = independent.reshape(-1, q)
-                # By whitened scalars: K^-1 - I itself loses its digits where kappa is small.
-                changes[b, c] += independent.T @ independent - means.T @ means
-                log_det[b] += of_channel
-        return changes, log_det
-
-    def independent(self, columns: Array, weights: Array, rho: Array) -> Array:
+    def independent(self, columns: Array, weights: Array, rho: Array) -> tuple[Array, float]:
         """Multiply the columns of whitened scalars by the root of K^-1, so that these are independent of each other.
 
         With G^T G / kappa = Q diag(s^2 - 1) Q^T,
@@ -207,28 +173,31 @@ class Stops:
         This changes the weighted means over the repeats of a target at a stop; differences between repeats stay.
 
         Args:
-            columns: shape (q, D, N), q columns of the table's scalars, in units of the estimated noise, and times the
-                square roots of the weights.
-            weights: shape (N,), of the table's rows, >= 0.
-            rho: shape (C, 3), shares of each of C channels.
+            columns: shape (q, D, N), q columns of the table's scalars, such as Jacobian and residual, in units of the
+                noise, and times the square roots of the weights.
+            weights: shape (N,), of the table's rows, >= 0: the variance of a row's scalars is divided by its weight.
+            rho: shape (C, 3), shares rho_t, rho_r and rho_q of each of C channels.
 
         Returns:
-            shape (q, D, N), in the same units; rows that are not of a stop as they are.
+            shape (q, D, N), in the same units, rows that are not of a stop as they are; and log det K over all stops
+            and channels.
         """
         result: Array = columns.copy()
+        log_det = 0.0
         channels = np.flatnonzero(np.any(rho > 0.0, axis=1)).tolist()
         for stops in self._parts():
             w = weights[stops.rows]
-            root_weights = np.sqrt(np.maximum(w, TINY))
-            X = stops._rows_of(columns) / root_weights[:, None, None]
             weight_of_cell = np.maximum(np.add.reduceat(w, stops._first_row), TINY)
             root_share = np.sqrt(w / weight_of_cell[stops._cell_of_row])
+            Y = columns[:, :, stops.rows]
             for c in channels:
-                means, independent, _ = stops._independent_means(X, weights, c, rho[c])
-                change = independent - means
-                changes = change[stops._cell_of_row] * root_share[:, None, None]
-                result[:, :, stops.rows] += changes.transpose(2, 1, 0)
-        return result
+                means, change, of_channel = stops._independent_means(Y, w, c, rho[c])
+                change -= means
+                if stops._has_repeats:
+                    change = change[:, :, stops._cell_of_row] * root_share
+                result[:, :, stops.rows] += change
+                log_det += of_channel
+        return result, log_det
 
     @property
     def stop_of_row(self) -> Integers:
@@ -257,13 +226,14 @@ class Stops:
         """
         parts = []
         for stops in self._parts():
-            X = stops._rows_of(columns)
-            body = stops.J[:, :, BODY]
+            w = weights[stops.rows]
+            Y = columns[:, :, stops.rows] * np.sqrt(w)
+            body = stops.J.transpose(2, 1, 0)[BODY] * np.sqrt(w)
             of_channels = []
             for c in range(len(noise)):
-                both = np.concatenate([body, X / noise[c]], axis=2)
-                _, independent, _ = stops._independent_means(both, weights, c, rho[c])
-                sums = stops._sums(transposed(independent[..., BODY]) @ independent)
+                both = np.concatenate([body, Y / noise[c]])
+                _, independent, _ = stops._independent_means(both, w, c, rho[c])
+                sums = stops._sums_of_products(independent[BODY], independent)
                 squares, Q = np.linalg.eigh(sums[..., BODY])
                 present = squares > _RANK_TOLERANCE * np.maximum(squares[:, -1:], TINY)
                 scale = present / np.sqrt(np.where(present, squares, 1.0))
@@ -291,77 +261,100 @@ class Stops:
         for b, c in np.ndindex(*rho.shape[:2]):
             parts = []
             for stops in self._parts():
-                X = stops._rows_of(columns)
-                parts.append(stops._moments(X, weights[b], c, change[b], covariance[b]))
+                w = weights[b, stops.rows]
+                Y = columns[:, :, stops.rows] * np.sqrt(w)
+                parts.append(stops._moments(Y, w, c, change[b], covariance[b]))
             result[b, c] = Moments.joined(parts).shares(rho[b, c])
         return result
 
-    def _moments(self, X: Array, weights: Array, c: int, change: Array, C: Array) -> Moments:
+    def _moments(self, Y: Array, weights: Array, c: int, change: Array, C: Array) -> Moments:
         """The moments of one fit's residual in the channel of index c, from which its shares are estimated.
 
-        X, (n, D, p + 1), are Jacobian and residual at the n rows of stops, in units of the given sigma; the weights are
-        of the table's rows, (N,). The fit's solution has the covariance C, (p, p), and is at the change, (p,), from
-        where the residual was taken.
+        Y, (p + 1, D, n), are Jacobian and residual at the n rows of stops, in units of the given sigma and times the
+        roots of the rows' weights, (n,). The fit's solution has the covariance C, (p, p), and is at the change, (p,),
+        from where the residual was taken.
         """
-        means, J, count = self._means(X, weights, c)
-        A = means[..., :-1]
-        r = means[..., -1:] - A @ change[:, None]
-        # Over the cells of each stop, (S, d, d + p + 1).
-        sums = self._sums(transposed(J) @ np.concatenate([J, A, r], axis=2))
-        directions = J.shape[2]
+        means, J, count = self._means(Y, weights, c)
+        A = means[:-1].reshape(len(C), -1)
+        r = means[-1] - (change @ A).reshape(means.shape[1:])
+        sums = self._sums_of_products(J, np.concatenate([J, means[:-1], r[None]]))
+        directions = len(J)
         J_J = sums[..., :directions]
         J_A = sums[..., directions:-1]
         J_r = sums[..., -1:]
         R = J_r @ transposed(J_r) + J_A @ C @ transposed(J_A)
-        total = float(np.sum(r**2) + np.sum((A @ C) * A))
+        total = float(np.sum(r**2) + np.sum((A @ A.T) * C))
         return Moments(J_J, R, total, float(np.sum(count)))
 
     def _independent_means(
-        self, X: Array, weights: Array, c: int, rho: Array
+        self, Y: Array, weights: Array, c: int, rho: Array
     ) -> tuple[Array, Array, float]:
-        """The means of M cells in one channel, (M, D, q), the same times K^-1/2, and log det K over all stops.
+        """The means of M cells in one channel, (q, D, M), the same times K^-1/2, and log det K over all stops.
 
-        A cell holds the repeats of one target at one stop; K is the covariance of a stop's means in units of noise.
-        X, (n, D, q), are columns at the n rows of stops, in units of their noise, of the channel of index c, weights
-        are of the table's rows, (N,), and rho, (3,), are the shares of the channel's variance; see `_means`.
+        A cell holds the repeats of one target at one stop; K is the covariance of a stop's means in units of noise. Y,
+        (q, D, n), are columns at the n rows of stops, in units of their noise and times the roots of the rows' weights,
+        (n,), of the channel of index c, and rho, (3,), are the shares of the channel's variance; see `_means`.
         """
-        means, J, count = self._means(X, weights, c)
+        means, J, count = self._means(Y, weights, c)
         kappa = unshared(rho)
-        G = J * root_shares(rho, J.shape[2]) / np.sqrt(kappa)
-        squares, Q = np.linalg.eigh(self._sums(transposed(G) @ G))
+        G = J * (root_shares(rho, len(J)) / np.sqrt(kappa))[:, None, None]
+        squares, Q = np.linalg.eigh(self._sums_of_products(G, G))
         s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
-        of_stops = self._sums(transposed(G) @ means)  # over the cells of each, (S, d, q)
-        shared = (Q / (s + s**2)) @ (transposed(Q) @ of_stops)
-        independent = (means - G @ shared[self._stop_of_cell]) / np.sqrt(kappa)
+        sums = self._sums_of_products(G, means)
+        shared = (Q / (s + s**2)) @ (transposed(Q) @ sums)  # (S, d, q)
+        independent = means.copy()
+        flat = independent.reshape(len(means), -1)
+        for stops, scalars in self._batches():
+            of_batch = G.reshape(len(G), -1)[:, scalars].transpose(1, 0, 2)
+            flat[:, scalars] -= (transposed(shared[stops]) @ of_batch).transpose(1, 0, 2)
+        independent /= np.sqrt(kappa)
         log_det = np.sum(count) * np.log(kappa) + 2.0 * np.sum(np.log(s))
         return means, independent, float(log_det)
 
-    def _means(self, X: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
-        """Average one channel's scalars over M cells: columns X, (M, D, q), J, (M, D, d), and their number, (M, D).
+    def _means(self, Y: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
+        """Average one channel's scalars over M cells: columns, (q, D, M), J, (d, D, M), and their number, (D, M).
 
         A cell holds the repeats of one target at one stop. A mean is sum w X / sqrt(sum w) over the repeats, with the
-        weights w, (N,), of the table's rows, so that it has the variance of one row of weight 1; it is 0 if all these
-        weights are 0. The number is sum w, but at most 1. All are zero for scalars of other channels. ``X``, (n, D, q),
-        are of these n rows.
+        weights w, (n,), of the rows, so that it has the variance of one row of weight 1; it is 0 if all these weights
+        are 0. The number is sum w, but at most 1. All are zero for scalars of other channels. ``Y``, (q, D, n), is
+        sqrt(w) X.
         """
-        w = weights[self.rows, None]
-        of_channel = self.channel == c
-        total = np.add.reduceat(w, self._first_row)
-        scale = 1.0 / np.sqrt(np.maximum(total, TINY))
-        weight = (w * of_channel)[:, :, None]
-        weighted = np.concatenate([X, self.J], axis=2) * weight
-        means = np.add.reduceat(weighted, self._first_row) * scale[:, :, None]
-        count = of_channel[self._first_row] * np.minimum(total, 1.0)
-        columns = X.shape[2]
-        return means[..., :columns], means[..., columns:], count
+        of_channel = c == self.channel.T
+        total = np.add.reduceat(weights, self._first_row)
+        count = of_channel[:, self._first_row] * np.minimum(total, 1.0)
+        J = self.J.transpose(2, 1, 0) * (np.sqrt(weights) * of_channel)
+        if not self._has_repeats:
+            return Y if np.all(of_channel) else Y * of_channel, J, count
+        root = np.sqrt(weights / np.maximum(total, TINY)[self._cell_of_row]) * of_channel
+        means = np.add.reduceat(Y * root, self._first_row, axis=2)
+        return means, np.add.reduceat(J * root, self._first_row, axis=2), count
 
-    def _sums(self, values: Array) -> Array:
-        """Sum values of M cells, (M, ...), which are targets at a stop, over those of each stop, (S, ...)."""
-        return np.asarray(np.add.reduceat(values, self._first_cell))
+    def _sums_of_products(self, left: Array, right: Array) -> Array:
+        """Sum the products of columns, (a, D, M) and (b, D, M), over the scalars of each stop, (S, a, b)."""
+        result = np.empty((len(self._first_cell), len(left), len(right)))
+        for stops, scalars in self._batches():
+            of_left = left.reshape(len(left), -1)[:, scalars].transpose(1, 0, 2)
+            of_right = right.reshape(len(right), -1)[:, scalars].transpose(1, 2, 0)
+            result[stops] = of_left @ of_right
+        return result
 
-    def _rows_of(self, columns: Array) -> Array:
-        """Return columns of the table, (q, D, N), at the n rows of stops, (n, D, q), contiguous."""
-        return np.ascontiguousarray(columns[:, :, self.rows].transpose(2, 1, 0))
+    def _batches(self) -> Iterator[tuple[Integers, Integers]]:
+        """Yield stops with equal numbers of cells: their indices, (s,), and those of their scalars, (s, D k).
+
+        The latter are indices into (D, M), flat.
+        """
+        M = len(self._first_row)
+        sizes = np.diff(self._first_cell, append=M)
+        first_of_scalar = M * np.arange(self.J.shape[1])
+        for size in np.unique(sizes):
+            stops = np.flatnonzero(sizes == size)
+            cells = self._first_cell[stops, None] + np.arange(size)
+            yield stops, (cells[:, None] + first_of_scalar[:, None]).reshape(len(stops), -1)
+
+    @property
+    def _has_repeats(self) -> bool:
+        """True if any cell holds several rows."""
+        return len(self._first_row) < len(self.rows)
 
     def _parts(self) -> list[Stops]:
         """Divide the n rows into parts of about `_PART` rows, for memory; the rows of a stop stay together."""
