@@ -208,7 +208,7 @@ def _images(e: Assessment) -> Iterator[Block]:
         yield Paragraph(
             "The pose of the board that each image alone shows against the predicted one. Alone: what the noise of its "
             "corners makes of it. Predicted: what remains, the error of the prediction. Depth is along the line of "
-            "sight.",
+            "sight, bias its mean and standard deviation.",
             tight=True,
         )
         shown = e.evaluations[e.judged].images
