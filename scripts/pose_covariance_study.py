@@ -21,8 +21,8 @@ from camera_study import ARMS, BOARD, FRESH, MODEL, STATED
 from studies import print_table, rms_length, run_cases, study_parser
 
 from calib.basics.arrays import Array
+from calib.camera.board_pose import board_poses
 from calib.camera.lenses import LENSES
-from calib.camera.planar_pose import planar_poses
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.fit.estimate.fitting import Fitted, fit
@@ -106,7 +106,7 @@ def poses_of(pictures: Pictures) -> tuple[Array, Array]:
     for k in range(len(pictures.images)):
         own = pictures.picture == k
         views.append((printed.corners[pictures.corner[own]], pictures.pixels[own]))
-    found = planar_poses(views, LENSES[camera.lens], camera.values)
+    found = board_poses(views, LENSES[camera.lens], camera.values)
     poses = [pose for pose in found if pose is not None]
     assert len(poses) == len(views)
     return np.array([p.T_camera_board for p in poses]), np.array([p.covariance for p in poses])

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.boards.board import Board
+from calib.boards.bodies import tag_at
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
@@ -20,6 +21,21 @@ BOARD = Board(
     square=0.03,
     marker=0.022,
     dictionary="DICT_5X5_100",
+)
+
+#: Tags on the faces of a blunt pyramid, all of which a camera in front of it sees; corners in the box of `BOARD`.
+BODY = Board(
+    name="pyramid",
+    pattern="body",
+    dictionary="DICT_APRILTAG_36h11",
+    sigma_corner=5e-4,
+    tags=(
+        tag_at(0, np.array([0.09, 0.075, -0.02]), np.zeros(3), 0.03),
+        tag_at(1, np.array([0.13, 0.075, 0.0]), np.array([0.0, -0.8, 0.0]), 0.03),
+        tag_at(2, np.array([0.05, 0.075, 0.0]), np.array([0.0, 0.8, 0.0]), 0.03),
+        tag_at(3, np.array([0.09, 0.115, 0.0]), np.array([0.8, 0.0, 0.0]), 0.03),
+        tag_at(4, np.array([0.09, 0.035, 0.0]), np.array([-0.8, 0.0, 0.0]), 0.03),
+    ),
 )
 VALUES = {
     "pinhole": np.array([700.0, 705.0, 1200.0, 995.0, -0.1, 0.05, 1e-3, -5e-4, 0.0]),
@@ -65,12 +81,23 @@ def poses(count, seed=0):
     return HOME + rng.uniform(-1, 1, (count, 7)) * [0.2, 0.15, 0.15, 0.15, 0.3, 0.3, 0.7]
 
 
-def table(q, *, robot=None, lens="pinhole", values=None, points=None, noise=0.0, seed=0, **words):
+def table(
+    q,
+    *,
+    robot=None,
+    lens="pinhole",
+    values=None,
+    board=BOARD,
+    points=None,
+    noise=0.0,
+    seed=0,
+    **words,
+):
     """The images of all corners at joint values (n, 7), by plain arithmetic."""
     robot = robot or arm()
     rng = np.random.default_rng(seed)
     T_camera_base, T_tip_board = mounts()
-    corners = BOARD.corners if points is None else points
+    corners = board.corners if points is None else points
     T = T_camera_base @ robot.poses(q) @ T_tip_board
     in_camera = corners @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
     assert in_camera[..., 2].min() > 0.05
@@ -85,7 +112,7 @@ def table(q, *, robot=None, lens="pinhole", values=None, points=None, noise=0.0,
         kinds=("pixel",) * len(pixels),
         images=tuple(f"{i}.png" for i in range(len(q)) for _ in range(count)),
         corners=tuple(str(k) for _ in range(len(q)) for k in range(count)),
-        board_points=np.tile(BOARD.corners, (len(q), 1)),
+        board_points=np.tile(board.corners, (len(q), 1)),
         readings={"u": pixels[:, 0], "v": pixels[:, 1]},
         **words,
     )

@@ -63,6 +63,9 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 TAGS = (APRILTAG, APRILGRID)
 ROUND = (CIRCLES, ASYMMETRIC_CIRCLES)
 
+#: Distance of the tags of a body on a sheet, in the side of the largest.
+_TAGS_APART = 1.4
+
 #: Lengths and shares that keep their digits.
 _MM = decimal("mm", -3)
 _PERCENT = decimal("%", -2)
@@ -419,6 +422,32 @@ class Board:
 
 
 # Layout: squares and markers
+
+
+def unfolded(board: Board) -> tuple[Array, Array]:
+    """Return where the corners of a board are on a sheet: those of a flat one as they are, the tags of a body in rows.
+
+    Args:
+        board: The board, of n corners.
+
+    Returns:
+        x and y on the sheet, shape (n, 2) [m]; and the axes of the sheet at each corner in the board's frame,
+        R_board_sheet, shape (n, 3, 3): x to the right on the tag, y down, z into it.
+    """
+    corners = board.corners
+    if board.pattern != BODY:
+        return corners[:, :2], np.tile(np.eye(3), (len(corners), 1, 1))
+    tags = corners.reshape(-1, 4, 3)
+    sides = np.linalg.norm(tags[:, 1] - tags[:, 0], axis=1)
+    x = (tags[:, 1] - tags[:, 0]) / sides[:, None]
+    z = np.cross(x, tags[:, 3] - tags[:, 0])
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    R = np.stack([x, np.cross(z, x), z], axis=2)
+    across = int(np.ceil(np.sqrt(len(tags))))
+    row, column = np.divmod(np.arange(len(tags)), across)
+    begin = _TAGS_APART * sides.max() * np.column_stack([column, row])
+    places = (tags - tags[:, :1]) @ R
+    return (begin[:, None] + places[:, :, :2]).reshape(-1, 2), np.repeat(R, 4, axis=0)
 
 
 def white_squares(board: Board) -> Mask:

@@ -1,6 +1,7 @@
-"""Initial intrinsics of an unknown camera, from views of flat boards alone.
+"""Initial intrinsics of an unknown camera, from views of boards alone.
 
-The homography H = [h1 h2 h3] of a view to the image, with the principal point in the image's middle, obeys
+The homography H = [h1 h2 h3] of points in a plane to their images, with the principal point in the image's middle,
+obeys
 
     h1^T W h2 = 0,      h1^T W h1 = h2^T W h2,      W = diag(1 / fx^2, 1 / fy^2, 1)
 
@@ -22,18 +23,19 @@ from itertools import compress
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.camera.camera import Camera
-from calib.camera.lenses import LENSES, Lens
-from calib.camera.planar_pose import (
+from calib.camera.board_pose import (
     View,
+    board_poses,
     closed_form_poses,
     determines_pose,
     first_rows,
     homography,
     move_poses,
-    planar_poses,
+    points_in_plane,
     view_system,
 )
+from calib.camera.camera import Camera
+from calib.camera.lenses import LENSES, Lens
 from calib.errors import MeasurementError
 
 # Bundle adjustment
@@ -145,7 +147,7 @@ def refine_bundle(
     Args:
         bundle: The lens, and what is known about its intrinsics.
         start: shape (m,), intrinsics to start from.
-        views: Views of flat boards.
+        views: Views of boards.
         poses: T_camera_board of each to start from, shape (4, 4) [m]; views with None, and those that fit far worse
             than most, are left out.
         iterations: The most steps.
@@ -222,7 +224,7 @@ def initial_intrinsics(camera: Camera, views: Sequence[View]) -> Array:
 
     Args:
         camera: Its size and lens model.
-        views: Views of flat boards; those with too few corners are left out.
+        views: Views of boards; those with too few corners are left out.
 
     Returns:
         shape (m,), in the order of the lens's names: [px], and coefficients of distortion.
@@ -256,7 +258,7 @@ def initial_intrinsics(camera: Camera, views: Sequence[View]) -> Array:
     start = _without_distortion(camera, camera.width) if best is None else best.values
 
     chosen = _some(usable, _REFINED_VIEWS)
-    estimated = planar_poses(chosen, lens, start)
+    estimated = board_poses(chosen, lens, start)
     poses = tuple(None if pose is None else pose.T_camera_board for pose in estimated)
     refined = refine_bundle(_bundle(camera, start), start, chosen, poses, _ITERATIONS)
     return start if refined is None else refined.values
@@ -266,15 +268,20 @@ def _closed_form(camera: Camera, views: Sequence[View]) -> Array | None:
     """Return intrinsics (m,) [px, 1] whose focal lengths solve the equations at the head of this module.
 
     The centre is the image's middle, and there is no distortion. None if the focal lengths are not determined, or are
-    implausible.
+    implausible; points that are not in a plane do not count.
     """
     middle = np.array([camera.width - 1, camera.height - 1]) / 2.0
     equations = []  # factors of 1 / fx^2, of 1 / fy^2, and of 1
     for points, pixels in views:
-        H = homography(points[:, :2], (pixels - middle) / camera.width)
+        in_plane = points_in_plane(points)
+        if in_plane is None:
+            continue
+        H = homography(in_plane[1], (pixels - middle) / camera.width)
         h1, h2 = H[:, 0], H[:, 1]
         scale = 1.0 / (h1 @ h1 + h2 @ h2)
         equations += [scale * h1 * h2, scale * (h1**2 - h2**2)]
+    if not equations:
+        return None
     A = np.array(equations)
     squares, _, rank, _ = np.linalg.lstsq(A[:, :2], -A[:, 2], rcond=1e-6)
     if rank < 2 or np.any(squares <= 0.0):

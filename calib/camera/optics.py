@@ -1,14 +1,15 @@
 """Optics of a row: all numbers of its camera and its board with which the image of one corner is predicted.
 
-A corner is designed to be at P = (X, Y, Z) on its board. The print has another scale and errors of its own, and the
+A corner is designed to be at P = (X, Y, Z) on its board. The print has another scale and errors of its own, and a flat
 board is not quite flat:
 
-    P' = [(1 + s_x) X + e_x, (1 + s_y) Y + e_y, Z + w_x (1 - xi^2) + w_y (1 - eta^2)]
+    P' = [(1 + s_x) X + e_x, (1 + s_y) Y + e_y, (1 + s_z) Z + e_z + w_x (1 - xi^2) + w_y (1 - eta^2)]
 
-with the relative errors s of the scale along x and y (the scale along a printer's feed differs from that across it),
+with the relative errors s of the scale along x, y and z (the scale along a printer's feed differs from that across it),
 the corner's own errors e, the sag w of the board's middle along x and along y, and the corner's place xi and eta across
-the board, from -1 to 1. In the camera it is at R P' + p, which the lens (`calib.camera.lenses`) projects. These numbers
-are columns of an array (N, `COUNT`), with one row for each corner.
+the board, from -1 to 1. Of a flat board, Z = 0, only the sag is along z; a body of tags does not sag. In the camera it
+is at R P' + p, which the lens (`calib.camera.lenses`) projects. These numbers are columns of an array (N, `COUNT`),
+with one row for each corner.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib.basics.arrays import Array, Integers
+from calib.camera.board_pose import board_poses
 from calib.camera.lenses import LENSES, Lens
-from calib.camera.planar_pose import planar_poses
 
 #: The first intrinsics, those that lenses of five coefficients or fewer have; one that has fewer leaves the last ones
 #: at zero. `intrinsic_columns` also has those beyond them.
@@ -37,14 +38,14 @@ POINT = slice(10, 13)
 #: The corner across the board along x and y, from -1 to 1.
 ACROSS = slice(13, 15)
 
-#: Relative error of the board's scale along x and y.
-SCALE = slice(15, 17)
+#: Relative error of the board's scale along x, y and z.
+SCALE = (15, 16, 33)
 
 #: Sag of the board's middle along x and along y, towards its z [m].
 WARP = slice(17, 19)
 
-#: The corner's own errors on the print, along x and y [m].
-OFFSET = slice(19, 21)
+#: The corner's own errors on the print, along x, y and z [m].
+OFFSET = (19, 20, 34)
 
 #: Number of the corner's name, from 0.
 CORNER = 21
@@ -57,7 +58,7 @@ BOARD = 23
 _FURTHER = slice(24, 33)
 
 #: Columns of an array of optics.
-COUNT = 33
+COUNT = 35
 
 
 def intrinsic_columns(lens: Lens) -> Integers:
@@ -75,8 +76,8 @@ def board_points(optics: Array) -> Array:
     Returns:
         shape (n, 3), in the board's frame [m].
     """
-    points: Array = optics[:, POINT].copy()
-    points[:, :2] += optics[:, SCALE] * optics[:, POINT][:, :2] + optics[:, OFFSET]
+    designed = optics[:, POINT]
+    points: Array = designed + (optics[:, SCALE] * designed + optics[:, OFFSET])
     points[:, 2] += np.sum(optics[:, WARP] * _bulge(optics), axis=1)
     return points
 
@@ -118,10 +119,9 @@ def image_derivatives(T_camera_board: Array, twists: Array, optics: Array) -> tu
         by_point[rows], by_values = lens.derivatives(points[rows], values)
         by_optics[rows[:, None, None], np.arange(2)[:, None], intrinsic_columns(lens)] = by_values
     by_board_point = by_point @ T_camera_board[:, :3, :3]
-    designed = optics[:, POINT]
-    by_optics[:, :, SCALE] = by_board_point[:, :, :2] * designed[:, None, :2]
+    by_optics[:, :, SCALE] = by_board_point * optics[:, None, POINT]
     by_optics[:, :, WARP] = by_board_point[:, :, 2:] * _bulge(optics)[:, None]
-    by_optics[:, :, OFFSET] = by_board_point[:, :, :2]
+    by_optics[:, :, OFFSET] = by_board_point
     lever = points - T_camera_board[:, :3, 3]
     # A turn w moves the point by w x lever, so that row d of by_point gives w . (lever x d).
     by_turn = np.cross(lever[:, None], by_point)
@@ -146,7 +146,7 @@ def view_poses(views: Sequence[tuple[Array, Array]]) -> list[Array | None]:
         of_camera = views[numbers[0]][1][0]
         lens = list(LENSES.values())[int(of_camera[LENS])]
         corners = [(board_points(views[k][1]), views[k][0]) for k in numbers]
-        poses = planar_poses(corners, lens, of_camera[intrinsic_columns(lens)])
+        poses = board_poses(corners, lens, of_camera[intrinsic_columns(lens)])
         for k, pose in zip(numbers, poses, strict=True):
             result[k] = None if pose is None else pose.T_camera_board
     return result
@@ -158,9 +158,10 @@ def across(points: Array, centre: Array, size: tuple[float, float]) -> Array:
     Args:
         points: shape (n, 3), in the board's frame [m].
         centre: shape (3,), the board's middle [m].
-        size: Width and height of the board [m].
+        size: Width and height of the board [m]; a body seen from its edge has none, and its points are in its middle.
     """
-    return np.asarray(2.0 * (points[:, :2] - centre[:2]) / np.array(size))
+    extent = np.array(size)
+    return np.asarray(2.0 * (points[:, :2] - centre[:2]) / np.where(extent > 0.0, extent, 1.0))
 
 
 def _bulge(optics: Array) -> Array:

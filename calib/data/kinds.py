@@ -682,7 +682,7 @@ _OPTICS = Internals(
         StatedSize(
             name="board_scale",
             owner=optics.BOARD,
-            columns=tuple(range(optics.COUNT)[optics.SCALE]),
+            columns=optics.SCALE,
             relative=False,
             is_unit_of_length=True,
         ),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
+from calib.camera.optics import POINT
 from calib.diagnosis.reasons import Reason, Why
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.prior_terms import PriorTerms
@@ -407,7 +408,8 @@ class Views:
 
     #: Shape (n,), number of corners seen
     corners: Integers
-    #: Shape (n,), angle between the line of sight to the board and its normal [rad]
+    #: Shape (n,), angle between the line of sight to the board and its normal [rad]; a right angle for a body, whose
+    #: corners at several heights tell its distance as those of a tilted board do
     tilt: Array
     #: Shape (n, 3, 3), orientation of the tip in the base
     R_base_tip: Array
@@ -430,9 +432,13 @@ class Views:
         middle = sums / count[:, None]
         sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         cosine = np.abs(np.sum(sight * T_camera_board[first, :3, 2], axis=1))
+        tilt = np.arccos(np.minimum(cosine, 1.0))
+        assert images.samples.internals is not None
+        height = images.samples.internals[:, POINT][:, 2]
+        tilt[np.bincount(view, np.abs(height)) > 0.0] = 0.5 * np.pi
         chain = images.samples.select(first).chain
         R_base_tip = fitted.task.robot.poses(images.joints[first], chain)[:, :3, :3]
-        return cls(count, np.arccos(np.minimum(cosine, 1.0)), R_base_tip)
+        return cls(count, tilt, R_base_tip)
 
 
 def doubtful_views(fitted: Fitted) -> Iterator[Reason]:

@@ -180,6 +180,7 @@ class Why(str, Enum):
     SENSE_UNKNOWN = "sense_unknown", Role.CARE
     FOCAL_LENGTH_OFF = "focal_length_off", Role.GIVEN
     BOARD_SCALE_OFF = "board_scale_off", Role.GIVEN
+    CORNERS_OFF = "corners_off", Role.IMPROVE
     BOARD_HEAD_ON = "board_head_on", Role.CARE
     FEW_CORNERS = "few_corners", Role.CARE
     ONE_AXIS = "one_axis", Role.CARE

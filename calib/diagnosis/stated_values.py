@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import chdtrc, stdtr, stdtrit
 
 from calib.basics.arrays import Array, Mask, read_only
 from calib.diagnosis.augmented_fit import UNLIKELY, AugmentedFit, estimate_jointly
@@ -46,6 +46,9 @@ _LEAST_FREEDOM = 3.0
 
 #: Prior standard deviation of a relative change above which nothing was stated.
 _NOT_STATED = 1.0
+
+#: How far a corner is from its place is a guess to this factor.
+_GUESSED = 2.0
 
 #: The reason if a stated size of an instrument's internals is wrong, by its name.
 _OFF = {"focal_length": Why.FOCAL_LENGTH_OFF, "board_scale": Why.BOARD_SCALE_OFF}
@@ -93,6 +96,7 @@ def contradicted_values(fitted: Fitted, scale: Scale | None) -> Iterator[Reason]
         if scale is not None and abs(scale.share) > _SCALED and scale.p < FALSE_ALARM:
             yield Reason.of(Why.LENGTHS_SCALED, scale=scale.share, std=scale.std, p=scale.p)
         yield from _wrong_internals(fitted)
+        yield from _corners_off(fitted)
     yield from _idle_covariances(fitted)
 
 
@@ -368,6 +372,26 @@ def _wrong_internals(fitted: Fitted) -> Iterator[Reason]:
                 limit = UNLIKELY if exact else _CONTRADICTS
                 if abs(share) > _LEAST_SHARE and joint.p_value(freedom) < limit:
                     yield Reason.of(_OFF[size.name], share=share, std=std, exact=exact)
+
+
+def _corners_off(fitted: Fitted) -> Iterator[Reason]:
+    """Yield a reason for each board whose corners are farther from their places than was stated.
+
+    If the statement is right, the squares of the n estimated errors, over their prior variances, sum up to less than
+    chi^2 with n degrees of freedom, as estimates scatter by less than what is estimated.
+    """
+    x = fitted.estimate.x
+    stated = {unknown.parameter.name: unknown.sigma for unknown in fitted.setup.internals}
+    by_board: dict[tuple[int, float], list[tuple[float, float]]] = {}
+    for k, parameter in fitted.kinematics.model.internals:
+        if parameter.of_one_point:
+            error = (float(x[k]), stated[parameter.name])
+            by_board.setdefault(parameter.samples[0], []).append(error)
+    for errors in by_board.values():
+        off, sigma = np.array(errors).T
+        square = float(np.sum((off / sigma) ** 2))
+        if square > _GUESSED**2 * len(off) and chdtrc(len(off), square) < UNLIKELY:
+            yield Reason.of(Why.CORNERS_OFF, off_m=rms(off), stated_m=rms(sigma))
 
 
 def _derivative_by_share(fitted: Fitted, size: StatedSize, concerned: Mask) -> Array:

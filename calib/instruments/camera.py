@@ -31,7 +31,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import Value
-from calib.boards.board import Board
+from calib.boards.board import BODY, Board
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
@@ -154,6 +154,12 @@ class CameraInstrument(Instrument):
         """
         camera = _only(cell.cameras, "camera")
         board = _only(cell.boards, "board")
+        if board.pattern == BODY:
+            raise CalibError(
+                f"The board '{board.name}' is a body of tags, whose far tags a camera does not see; images are planned "
+                "for flat boards. Choose the poses of a body by hand: two or more tags towards the camera, and the "
+                "body turned to each side."
+            )
         if camera.values is None:
             unknown = np.full(len(LENSES[camera.lens].names), UNKNOWN)
             camera = replace(camera, values=assumed_intrinsics(camera), sigma=unknown)

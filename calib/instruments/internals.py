@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask, numbered, read_only
-from calib.boards.board import Board
+from calib.boards.board import BODY, Board
 from calib.camera import optics
 from calib.camera.camera import Camera
 from calib.camera.initial_intrinsics import initial_intrinsics
@@ -132,7 +132,10 @@ def initial_internals(
         values[rows, optics.ACROSS] = optics.across(on_board, centre, (width, height))
         values[rows, optics.CORNER] = corner[rows]
         values[rows, optics.BOARD] = owner.number
-        unknowns += _board_unknowns(board or _UNKNOWN_BOARD, owner, corner_names, corner[rows])
+        is_flat = not np.any(on_board[:, 2]) if board is None else board.pattern != BODY
+        unknowns += _board_unknowns(
+            board or _UNKNOWN_BOARD, owner, corner_names, corner[rows], is_flat=is_flat
+        )
     return read_only(values), tuple(unknowns)
 
 
@@ -172,7 +175,9 @@ def number_corners(measurements: Measurements) -> tuple[tuple[str, ...], Integer
     if measurements.board_points is not None:
         for i, point in enumerate(1e3 * measurements.board_points):
             if not names[i] and np.isfinite(point[0]):
-                names[i] = "/".join(f"{coordinate:.3g}" for coordinate in point[:2])
+                # Those of a flat board have no third coordinate.
+                place = point if point[2] else point[:2]
+                names[i] = "/".join(f"{coordinate:.3g}" for coordinate in place)
     if all(name.isdecimal() for name in names):
         # Corners of all tables of a board have the same numbers, in whatever order they are.
         last = max(map(int, names), default=-1)
@@ -219,11 +224,14 @@ def _check_squares(
     if extent < _NO_EXTENT:
         return  # always the same corner
     factor = float(far @ far_designed) / extent
-    are_alike = np.allclose(far, factor * far_designed, rtol=0.0, atol=_ALIKE * board.square)
+    square, what = board.square, "squares"
+    if board.pattern == BODY:
+        square, what = float(np.linalg.norm(board.corners[1] - board.corners[0])), "tags"
+    are_alike = np.allclose(far, factor * far_designed, rtol=0.0, atol=_ALIKE * square)
     if are_alike and abs(factor - 1.0) > _ALIKE:
         raise MeasurementError(
-            f"{measurements.source or 'Measurements'}: its corners are those of squares of "
-            f"{1e3 * factor * board.square:.4g} mm, and the board is described with {1e3 * board.square:.4g} mm. After "
+            f"{measurements.source or 'Measurements'}: its corners are those of {what} of "
+            f"{1e3 * factor * square:.4g} mm, and the board is described with {1e3 * square:.4g} mm. After "
             "a change of the description run calib detect again, or give the board as it was described before."
         )
 
@@ -263,27 +271,33 @@ def _camera_numbers(
 
 
 def _board_unknowns(
-    board: Board, owner: _Owner, corner_names: tuple[str, ...], corner: Integers
+    board: Board,
+    owner: _Owner,
+    corner_names: tuple[str, ...],
+    corner: Integers,
+    *,
+    is_flat: bool,
 ) -> list[InternalUnknown]:
     """Return the unknowns of a board: the scale and the flatness of the print, and its corners' places.
 
-    The board's n rows show corners by their numbers, (n,), among all names.
+    The board's n rows show corners by their numbers, (n,), among all names. The corners of a flat board are off in its
+    plane, and it sags; those of a body are off along all axes.
     """
     result = []
-    for k, axis in enumerate("xy"):
+    axes = "xy" if is_flat else "xyz"
+    for k, axis in enumerate(axes):
         if board.sigma_scale > 0.0:
-            scale = _parameter(f"board_scale_{axis}", "1", owner, BOARD, optics.SCALE.start + k)
+            scale = _parameter(f"board_scale_{axis}", "1", owner, BOARD, optics.SCALE[k])
             result.append(InternalUnknown(scale, 0.0, board.sigma_scale))
-        if board.sigma_warp > 0.0:
+        if is_flat and board.sigma_warp > 0.0:
             sag = _parameter(f"board_sag_{axis}", "m", owner, BOARD, optics.WARP.start + k)
             result.append(InternalUnknown(sag, 0.0, board.sigma_warp))
     if board.sigma_corner > 0.0:
         count = np.bincount(corner, minlength=len(corner_names))
         for number in np.flatnonzero(count >= _FEWEST_IMAGES).tolist():
-            for k, axis in enumerate("xy"):
+            for k, axis in enumerate(axes):
                 name = f"corner_{corner_names[number]}_{axis}"
-                column = optics.OFFSET.start + k
-                offset = _parameter(name, "m", owner, BOARD, column, number)
+                offset = _parameter(name, "m", owner, BOARD, optics.OFFSET[k], number)
                 result.append(InternalUnknown(offset, 0.0, board.sigma_corner))
     return result
 

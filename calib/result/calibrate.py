@@ -29,6 +29,7 @@ from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.board_ends import numbered_from_one_end
 from calib.fit.registration.mounts import with_mounts_found
 from calib.fit.registration.registration import nominal_setup, register_held_out
+from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
@@ -38,8 +39,9 @@ from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
+from calib.result.board_errors import BoardErrors, board_errors
 from calib.result.calibration import Calibration
-from calib.result.collected_evidence import add_verdicts
+from calib.result.collected_evidence import accidents, add_verdicts
 from calib.result.doubts import late_in_table, patterns_in_table
 from calib.result.fewer_corners import with_fewer_corners
 from calib.result.fitted_model import FittedModel, NonGeometric
@@ -296,8 +298,17 @@ def _assemble(
         # Residuals of a frame in a wrong place say nothing about the robot.
         residual_nominal = np.where(all_rows.used, np.nan, 0.0)
 
+    rows = _result_rows(m, fits, residual_nominal)
+    suspects = np.isin(m.rows, [suspect.row for suspect in rows.suspects])
+    of_validation = m.validation & ~accidents(m.validation, suspects)
+
     observability = estimate.problem.observability(estimate.x)
-    geometry = FittedModel.of(fitted, observability, of_geometry)
+    geometry = FittedModel.of(
+        fitted,
+        observability,
+        of_geometry,
+        validation_board=_board_errors(fitted, all_rows.select(of_validation)),
+    )
     non_geometric = None
     if fits.non_geometric is not None:
         of_larger = fits.non_geometric.estimate
@@ -305,6 +316,7 @@ def _assemble(
             fits.non_geometric,
             of_larger.problem.observability(of_larger.x),
             of_non_geometric,
+            validation_board=_board_errors(fits.non_geometric, all_rows.select(of_validation)),
             residual=read_only(fits.non_geometric.residual(all_rows)),
             payload=cell.payload,
             gravity=cell.gravity,
@@ -324,7 +336,7 @@ def _assemble(
         nominal_setup=setup,
         geometry=geometry,
         non_geometric=non_geometric,
-        rows=_result_rows(m, fits, residual_nominal),
+        rows=rows,
         noise=_noise(m, fitted),
         trust=Trust(
             nominal_cross_validation=of_nominal,
@@ -347,6 +359,12 @@ def _assemble(
         record=cell.record,
         fit_in_memory=FitInMemory(m, cell, fitted, fits.non_geometric),
     )
+
+
+def _board_errors(fitted: Fitted, rows: Rows) -> BoardErrors | None:
+    """Return the errors of the predicted poses of boards in rows that a fit has not seen; None without images."""
+    sightings = fitted.kinematics.sightings(fitted.estimate.x, rows.samples)
+    return board_errors(rows, sightings, fitted.residual(rows))
 
 
 def _result_rows(

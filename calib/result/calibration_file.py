@@ -225,6 +225,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "scale_everywhere": "expected.scale_everywhere_rms_m",
             "extrapolation": "expected.extrapolation",
             "board": "expected.board",
+            "validation_board": "expected.validation_board",
             "undetermined": "expected.undetermined_rms_m",
         },
         Setup: {"internals": "optics"},

@@ -279,10 +279,7 @@ def _expected_over_limits(
 def compare_validation_errors(
     validation: Mask, suspects: Mask, nominal: Array, calibrated: Array, channels: Channels
 ) -> ValidationErrors:
-    """Compare errors on the validation rows, without suspects if they are few.
-
-    One wild row would decide the comparison; many of them are not accidents, and count. Few are no more than one, or
-    `_FEW_SUSPECTS` of the validation rows, but not all.
+    """Compare errors on the validation rows, without suspects if they are few (`accidents`).
 
     Args:
         validation: True for validation rows, shape (N,).
@@ -295,10 +292,7 @@ def compare_validation_errors(
         Errors of both robots without the rows that were set aside, the number of these, and the calibrated robot's
         errors on all validation rows.
     """
-    aside = suspects & validation
-    many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))
-    if many or np.array_equal(aside, validation):
-        aside = np.zeros_like(suspects)
+    aside = accidents(validation, suspects)
     chosen = validation & ~aside
     return ValidationErrors(
         before=Errors.of(nominal[chosen], channels.select(chosen)),
@@ -306,6 +300,23 @@ def compare_validation_errors(
         aside=int(np.sum(aside)),
         whole=Errors.of(calibrated[validation], channels.select(validation)),
     )
+
+
+def accidents(validation: Mask, suspects: Mask) -> Mask:
+    """Return which validation rows are set aside as accidents, shape (N,).
+
+    One wild row would decide what the others show; many of them are not accidents, and count. Few are no more than one,
+    or `_FEW_SUSPECTS` of the validation rows, but not all.
+
+    Args:
+        validation: True for validation rows, shape (N,).
+        suspects: True for rows whose score is beyond the limit, shape (N,).
+    """
+    aside = suspects & validation
+    many = np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation)))
+    if many or np.array_equal(aside, validation):
+        return np.zeros_like(suspects)
+    return aside
 
 
 def _lags(model: FittedModel) -> Iterator[Reason]:

@@ -115,6 +115,8 @@ class FittedModel(Value):
     #: Errors of the predicted poses of boards, of held-out views without outliers; None without images or
     #: cross-validation
     board: BoardErrors | None = None
+    #: The same of the views of validation rows; None without such images
+    validation_board: BoardErrors | None = None
     #: Error over the joint limits that families of errors add whose sizes the rows do not determine [m]
     undetermined: float = 0.0
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
@@ -247,16 +249,19 @@ class FittedModel(Value):
         The first is the rms error of held-out rows of ``cross_validation``, outliers aside, which includes what the
         model lacks; it is no less than ``noise_measured``, as an error that all rows share, that of a print's size,
         does not show in them. Of images it is what held-out views show of the board's position in three dimensions,
-        beyond their own noise (`BoardErrors.predicted`): residuals in pixels hardly show depth. For the second the
-        variance of the prediction at the measured poses, the square of ``noise_measured``, is exchanged for that over
-        the limits, the square of ``expected_elsewhere``. Without cross-validation, or if no length was measured, these
-        two are taken. To either is added what a scale error of the instrument does (``by_scale``).
+        beyond their own noise (`BoardErrors.predicted`): residuals in pixels hardly show depth. It is no less than what
+        images of validation rows show likewise: those of another day show what changes from day to day. For the second
+        the variance of the prediction at the measured poses, the square of ``noise_measured``, is exchanged for that
+        over the limits, the square of ``expected_elsewhere``. Without cross-validation, or if no length was measured,
+        these two are taken. To either is added what a scale error of the instrument does (``by_scale``).
         """
         near, elsewhere = self.noise_measured, self.expected_elsewhere
         validation = self.cross_validation
         held_out = None if self.board is None else self.board.predicted
         if validation is not None and validation.errors_without_outliers["m"].n:
             held_out = validation.errors_without_outliers["m"].rms
+        if held_out is not None and self.validation_board is not None:
+            held_out = max(held_out, self.validation_board.predicted)
         if held_out is not None:
             elsewhere = float(np.sqrt(max(held_out**2 - near**2, 0.0) + elsewhere**2))
             near = max(held_out, near)

@@ -1,8 +1,8 @@
 """Cameras and printed boards of a result: as the fit began with them, and as it estimated them.
 
 A camera's numbers are those that the fit began with plus their changes. Of a board's print the mean of its errors of
-scale along x and y makes the squares, and the markers in them, larger; sag and errors of single corners, which a
-description of a board does not have, are parameters of the result only.
+scale along its axes makes the squares, and the markers in them, or the tags of a body, larger; sag and errors of single
+corners, which a description of a board does not have, are parameters of the result only.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from calib.basics.arrays import Array
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.boards.board import Board
+from calib.boards.bodies import tag_of_corners
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
@@ -118,7 +119,7 @@ def _estimated_cameras(nominal: Mapping[str, Camera], model: FittedModel) -> Map
 
 
 def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mapping[str, Board]:
-    """Return boards with squares and markers [m] as large as estimated, and the standard deviation of their scale.
+    """Return boards with squares, markers and tags [m] as large as estimated, and the std of their scale.
 
     A board whose scale was not estimated stays as it is.
     """
@@ -126,22 +127,26 @@ def _estimated_boards(nominal: Mapping[str, Board], model: FittedModel) -> Mappi
     scales: dict[str, list[int]] = {key: [] for key in nominal}
     for k, parameter, column in _estimated_numbers(model, BOARD):
         key = _key(targets[parameter.place], nominal)
-        if key is not None and optics.SCALE.start <= column < optics.SCALE.stop:
+        if key is not None and column in optics.SCALE:
             scales[key].append(k)
 
     boards = {}
-    axes = optics.SCALE.stop - optics.SCALE.start
     for key, board in nominal.items():
         numbers = scales[key]
         boards[key] = board
         if numbers:
+            axes = len(numbers)
             factor = 1.0 + float(np.sum(model.x[numbers])) / axes
-            # The variance of the mean of the scales along both axes.
+            # The variance of the mean of the scales along the axes.
             std = float(np.sqrt(np.sum(model.covariance[np.ix_(numbers, numbers)]))) / axes
             boards[key] = replace(
                 board,
                 square=board.square * factor,
                 marker=board.marker * factor,
+                tags=tuple(
+                    tag_of_corners(number, factor * np.array(corners))
+                    for number, corners in board.tags
+                ),
                 sigma_scale=std if np.isfinite(std) else board.sigma_scale,
             )
     return ReadOnlyMapping(boards)

@@ -294,6 +294,8 @@ SENTENCES = {
     Why.BOARD_SCALE_OFF: "The board seems to be {share:%+.2f} % off its stated size (standard deviation "
     "{std:%.2f} %), and all lengths of the arm with it: {if_exact}measure the printed squares, many of them at once, "
     "correct square_mm, and run calib detect again.",
+    Why.CORNERS_OFF: "The corners of a board are {off_m:mm.2f} mm rms from their places along an axis, and "
+    "{stated_m:mm.2f} mm were stated, so that the intervals are too narrow: state a larger sigma_corner_mm.",
     Why.COVARIANCES_IDLE: "The stated covariances say nothing about the errors of the poses (their scale is "
     "{scale:.2g}): are they of these rows, in the order x, y, z, rotations about x, y, z, in m and rad, along the axes "
     "of the measurement frame? Or does the robot miss its stops by far more?",

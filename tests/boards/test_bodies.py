@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.boards.board import Board
+from calib.boards.board import Board, unfolded
 from calib.boards.board_file import board_toml, read_board
 from calib.boards.bodies import tag_at, tag_of_corners
 from calib.boards.drawing import black_rectangles
+from calib.camera.camera import Camera
+from calib.data.cell import Cell
 from calib.errors import CalibError
+from calib.instruments.camera import CameraInstrument
+from calib.robot.robot import Robot
+from calib.verbs.simulate.equipment import draw_equipment
 
 FILE = """
 name = "cube"
@@ -84,3 +89,43 @@ def test_a_body_is_not_drawn_on_a_page():
 def test_a_body_needs_tags():
     with pytest.raises(CalibError, match="needs its tags"):
         Board(pattern="body", dictionary="DICT_4X4_50")
+
+
+def test_tags_are_side_by_side_on_a_sheet(tmp_path):
+    path = tmp_path / "cube.toml"
+    path.write_text(FILE)
+    board = read_board(path)
+    places, R = unfolded(board)
+    # The first two of a row, 1.4 sides apart; each with its corners clockwise from the top left.
+    square = np.array([[0.0, 0.0], [0.04, 0.0], [0.04, 0.04], [0.0, 0.04]])
+    second = square + np.array([0.056, 0.0])
+    np.testing.assert_allclose(places, np.concatenate([square, second]), atol=1e-12)
+    np.testing.assert_allclose(R[:4], np.tile(np.eye(3), (4, 1, 1)), atol=1e-12)
+    # x of the second is z of the body, and z, into the tag, is -x.
+    np.testing.assert_allclose(R[4], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-12)
+
+
+def test_a_flat_board_is_its_own_sheet():
+    board = Board(pattern="chessboard", columns=4, rows=3, square=0.03)
+    places, R = unfolded(board)
+    np.testing.assert_array_equal(places, board.corners[:, :2])
+    np.testing.assert_array_equal(R, np.tile(np.eye(3), (len(places), 1, 1)))
+
+
+def test_a_body_is_neither_planned_for_nor_simulated():
+    """Both would see its tags through it."""
+    board = Board(
+        pattern="body", dictionary="DICT_4X4_50", tags=(tag_at(4, np.zeros(3), np.zeros(3), 0.04),)
+    )
+    camera = Camera(width=1280, height=720)
+    cell = Cell(
+        kind="pixel",
+        cameras={"": camera},
+        boards={"": board},
+        target=np.zeros(3),
+        target_rotation=np.eye(3),
+    )
+    with pytest.raises(CalibError, match="body of tags"):
+        CameraInstrument.of(cell)
+    with pytest.raises(CalibError, match="body of tags"):
+        draw_equipment(Robot.load("panda"), cell, 0)

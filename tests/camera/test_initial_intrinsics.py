@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.boards.board import Board
+from calib.camera.board_pose import move_poses, view_system
 from calib.camera.camera import Camera
 from calib.camera.initial_intrinsics import Bundle, initial_intrinsics, refine_bundle
 from calib.camera.lenses import LENSES
-from calib.camera.planar_pose import move_poses, view_system
 from calib.errors import MeasurementError
 
 POINTS = Board(pattern="chessboard", columns=7, rows=5, square=0.03).corners
@@ -45,6 +45,26 @@ def scene(name, count=6):
         P = points @ pose[:3, :3].T + pose[:3, 3]
         views.append((points, LENSES[name].project(P, TRUTH[name])))
     return T, views
+
+
+def body_views(count=20):
+    """Views of a cube's tags by the pinhole camera, of two faces and of three."""
+    rng = np.random.default_rng(4)
+    face = np.array([[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]])
+    cube = np.concatenate([np.insert(face, axis, -0.04, axis=1) for axis in range(3)])
+    views = []
+    for k in range(count):
+        towards = Rotation.align_vectors([[0.0, 0.0, 1.0]], [[1.0, 1.0, 1.0]])[0]
+        R = (Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3)) * towards).as_matrix()
+        points = cube[: 8 + 4 * (k % 2)]
+        P = points @ R.T + [*rng.uniform(-0.15, 0.15, 2), rng.uniform(0.25, 0.5)]
+        views.append((points, LENSES["pinhole"].project(P, TRUTH["pinhole"])))
+    return views
+
+
+def test_views_of_a_body_tell_the_intrinsics():
+    found = initial_intrinsics(Camera(width=1280, height=720), body_views())
+    np.testing.assert_allclose(found[:4], TRUTH["pinhole"][:4], rtol=0.02)
 
 
 def bundle(name):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.camera.board_pose import board_pose
 from calib.camera.lenses import LENSES
-from calib.camera.planar_pose import planar_pose
 from calib.data.columns import COVARIANCE
 from calib.data.kinds import get, names
 from calib.data.measurements import Measurements
@@ -197,7 +197,7 @@ def test_the_covariance_that_data_format_md_computes_is_that_of_the_pose():
     rvec, tvec = np.array([0.5, -0.3, 0.8]), np.array([-0.05, 0.02, 0.45])
     exact = cv2.projectPoints(board, rvec, tvec, K, values[4:])[0][:, 0]
     C = names["pose_covariance"](board, rvec, tvec, K, values[4:])
-    own = planar_pose(board, exact, LENSES["pinhole"], values)
+    own = board_pose(board, exact, LENSES["pinhole"], values)
     np.testing.assert_allclose(C, own.covariance, rtol=1e-4, atol=1e-6 * np.max(own.covariance))
     rng = np.random.default_rng(13)
     R = cv2.Rodrigues(rvec)[0]

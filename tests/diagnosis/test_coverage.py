@@ -33,7 +33,7 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 from calib.verbs.simulate.truth import draw_truth
 from tests.hard_cases import made
-from tests.images import BOARD, HOME, arm, cell, mounts, poses, table
+from tests.images import BOARD, BODY, HOME, arm, cell, mounts, poses, table
 
 TYPES = ("revolute",) * 6
 
@@ -117,13 +117,14 @@ def test_a_joint_hardly_moved_below_a_third_of_a_radian_or_five_centimetres():
 # Views of boards
 
 
-def fitted(q, kept=None):
+def fitted(q, kept=None, board=BOARD):
     robot = arm()
-    m = table(q, noise=0.1)
+    m = table(q, board=board, noise=0.1)
     if kept is not None:
         m = m.select(np.array([kept(int(c)) for c in m.corners]))
-    rows, setup = rows_and_setup(robot, m, cell())
-    return fit(Task(robot, cell(), setup, "frames"), rows)
+    c = cell(boards={"": board})
+    rows, setup = rows_and_setup(robot, m, c)
+    return fit(Task(robot, c, setup, "frames"), rows)
 
 
 def codes(f):
@@ -141,6 +142,10 @@ def test_tilt_is_the_angle_between_sight_and_normal():
     # Views are in the order of their poses' numbers, which is that of the rows.
     np.testing.assert_allclose(views.tilt, expected, atol=0.01)
     np.testing.assert_array_equal(views.corners, len(BOARD.corners))
+
+
+def test_a_body_is_never_seen_head_on():
+    np.testing.assert_allclose(Views.of(fitted(poses(4), board=BODY)).tilt, 0.5 * np.pi)
 
 
 def test_good_views_are_not_doubted():

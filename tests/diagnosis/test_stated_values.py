@@ -28,7 +28,7 @@ from calib.model.families import ANGLE, FAMILIES, ZERO
 from calib.robot.ranges import random_joint_values
 from tests.covariances import random_covariances
 from tests.fit.estimate.special_cases.test_pose_covariances import table_with
-from tests.images import BOARD, VALUES, arm as camera_arm, camera, cell, poses, table
+from tests.images import BOARD, BODY, VALUES, arm as camera_arm, camera, cell, poses, table
 from tests.judged import arm, fit_to, moved, table_of
 
 
@@ -216,6 +216,24 @@ def test_a_wrong_square_is_named_though_all_lengths_of_the_arm_make_up_for_it(sq
     )
     assert reason.why is Why.BOARD_SCALE_OFF
     assert reason.values["share"] == pytest.approx(square - 1.0, abs=0.015)
+
+
+@pytest.mark.parametrize(("stated", "named"), [(1e-4, [Why.CORNERS_OFF]), (3e-4, [])])
+def test_corners_that_are_farther_off_than_stated_are_named(stated, named):
+    """Those of a body are 0.5 mm off along all axes; a guess to a factor of two is good enough."""
+    board = replace(BODY, sigma_scale=0.0, sigma_corner=stated)
+    off = 5e-4 * np.random.default_rng(6).standard_normal(BODY.corners.shape)
+    c = cell(cameras={"": camera(sigma=np.zeros(9))}, boards={"": board})
+    m = table(poses(14), board=board, points=board.corners + off, noise=0.1)
+    rows, setup = rows_and_setup(camera_arm(), m, c)
+    fitted = fit(Task(camera_arm(), c, setup, "frames"), rows)
+    found = [
+        reason for reason in contradicted_values(fitted, None) if reason.why is Why.CORNERS_OFF
+    ]
+    assert [reason.why for reason in found] == named
+    for reason in found:
+        assert reason.values["stated_m"] == pytest.approx(stated)
+        assert 2e-4 < reason.values["off_m"] < 6e-4
 
 
 @pytest.mark.parametrize("exact", [True, False])

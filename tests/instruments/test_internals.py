@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.boards.bodies import tag_of_corners
 from calib.camera import optics
 from calib.camera.camera import UNKNOWN
 from calib.errors import MeasurementError
 from calib.fit.registration.table_rows import rows_and_setup
-from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
+from tests.images import BOARD, BODY, VALUES, arm, camera, cell, poses, table
 
 
 def unknowns(setup):
@@ -38,6 +39,32 @@ def test_unknowns_are_lens_print_and_corners():
     assert by_name["board_sag_y"].sigma == BOARD.sigma_warp
     assert by_name["corner_3_y"].sigma == BOARD.sigma_corner
     assert by_name["corner_3_y"].parameter.samples == ((optics.BOARD, 0), (optics.CORNER, 3))
+
+
+def test_corners_of_a_body_are_off_along_all_axes_and_it_does_not_sag():
+    _, setup = rows_and_setup(arm(), table(poses(3), board=BODY), cell(boards={"": BODY}))
+    by_name = unknowns(setup)
+    assert len(by_name) == 9 + 3 + 3 * len(BODY.corners)
+    assert by_name["board_scale_z"].parameter.internal == optics.SCALE[2]
+    assert by_name["corner_3_z"].sigma == BODY.sigma_corner
+    assert by_name["corner_3_z"].parameter.internal == optics.OFFSET[2]
+
+
+def test_a_board_that_is_not_described_is_a_body_if_its_corners_are_not_in_a_plane():
+    _, flat = rows_and_setup(arm(), table(poses(3)), cell(boards={}))
+    assert "corner_3_z" not in unknowns(flat)
+    assert "board_sag_x" in unknowns(flat)
+    _, body = rows_and_setup(arm(), table(poses(3), board=BODY), cell(boards={}))
+    assert "corner_3_z" in unknowns(body)
+    assert "board_sag_x" not in unknowns(body)
+
+
+def test_a_body_of_another_size_is_refused():
+    larger = replace(
+        BODY, tags=tuple(tag_of_corners(n, 1.1 * np.array(tag)) for n, tag in BODY.tags)
+    )
+    with pytest.raises(MeasurementError, match="33 mm, and the board is described with 30 mm"):
+        rows_and_setup(arm(), table(poses(3), board=larger), cell(boards={"": BODY}))
 
 
 def test_what_is_exact_is_not_estimated():
@@ -68,6 +95,10 @@ def test_corners_without_names_are_named_by_their_places():
     m = table(poses(3))
     _, setup = rows_and_setup(arm(), replace(m, corners=()), cell())
     assert "corner_30/30_x" in unknowns(setup)
+    _, setup = rows_and_setup(
+        arm(), replace(table(poses(3), board=BODY), corners=()), cell(boards={"": BODY})
+    )
+    assert "corner_75/60/-20_z" in unknowns(setup)
 
 
 def test_intrinsics_of_which_nothing_is_known_start_at_those_of_the_images():

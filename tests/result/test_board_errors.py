@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.camera.board_pose import board_pose
+from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Sightings
 from calib.result.board_errors import BoardErrors, board_errors, board_table
-from tests.pictures import BOARD, STATED, pictures_of
+from calib.result.calibrate import calibrate
+from tests import images
+from tests.pictures import BOARD, STATED, joined, pictures_of
 
 #: Standard deviation of an image coordinate [px].
 NOISE = 0.1
@@ -70,3 +76,52 @@ def test_keys_of_a_file_have_units() -> None:
     """Lengths end in m, angles in rad."""
     table = board_table(errors_of(np.zeros(3), NOISE))
     assert {"views", "depth_m", "turn_rad", "depth_bias_std_m"} <= set(table)
+
+
+def apparent_shifts(
+    T_camera_board: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far boards seem to be off through another lens: in the camera, (n, 3) [m], and along sight, (n,)."""
+    lens, middle = LENSES["pinhole"], images.BOARD.centre
+    shifts, along = [], []
+    for T in T_camera_board:
+        pixels = lens.project(images.BOARD.corners @ T[:3, :3].T + T[:3, 3], values)
+        seen = board_pose(images.BOARD.corners, pixels, lens, images.VALUES["pinhole"])
+        assert seen is not None
+        where = T[:3, :3] @ middle + T[:3, 3]
+        found = seen.T_camera_board
+        shifts.append(found[:3, :3] @ middle + found[:3, 3] - where)
+        along.append(shifts[-1] @ where / np.linalg.norm(where))
+    return np.array(shifts), np.array(along)
+
+
+@pytest.mark.slow
+def test_validation_images_of_another_day_count_for_the_expected_error() -> None:
+    """The lens is 0.2 % longer then, and boards seem to be nearer; residuals in pixels hardly show it."""
+    known = images.camera(sigma=np.zeros(9))
+    exact = replace(images.BOARD, sigma_scale=0.0, sigma_warp=0.0, sigma_corner=0.0)
+    cell = images.cell(cameras={"": known}, boards={"": exact}, model="frames")
+    longer = images.VALUES["pinhole"] * np.array([1.002, 1.002, *[1.0] * 7])
+    q = images.poses(22)
+    first = images.table(q[:12], noise=0.1)
+    later = images.table(q[12:], values=longer, noise=0.1, seed=4)
+    sets = ("estimate",) * len(first) + ("validate",) * len(later)
+    table = replace(joined(first, later), sets=sets)
+    result = calibrate(images.arm(), table, cell=cell)
+    of_later = result.geometry.validation_board
+    assert of_later is not None
+    assert of_later.views == 10
+    T_camera_base, T_tip_board = images.mounts()
+    T = T_camera_base @ images.arm().poses(q[12:]) @ T_tip_board
+    shifts, along = apparent_shifts(T, longer)
+    in_space = np.sqrt(np.mean(np.sum(shifts**2, axis=1)))
+    assert np.hypot(of_later.across, of_later.depth) == pytest.approx(in_space, rel=0.05)
+    assert of_later.depth == pytest.approx(np.sqrt(np.mean(along**2)), rel=0.05)
+    assert of_later.predicted == pytest.approx(in_space, rel=0.2)
+    assert of_later.depth_bias < -5.0 * of_later.depth_bias_std
+    assert result.new_point[0] == pytest.approx(of_later.predicted, rel=1e-6)
+    alone = replace(result.geometry, validation_board=None).new_point
+    assert alone[0] < 0.3 * result.new_point[0]
+    assert result.new_point[1] > alone[1]
+    nothing = calibrate(images.arm(), first, cell=cell, validate=False)
+    assert nothing.geometry.validation_board is None

@@ -253,7 +253,7 @@ WHOLE = {
     "noise.repeats",
     "noise.prior_std", "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates",
     "model.ties", "robot.held", "robot.coupling", "robot.branches", "inputs.robots", "chains",
-    "expected.board", "non_geometric.expected.board",
+    "expected.board", "non_geometric.expected.board", "non_geometric.expected.validation_board",
     "robustness", "outside", "verdict.reasons",
     "verdict.reasons[].values", "plugins", "frames.optics", "frames.nominal.optics", "non_geometric.frames.optics",
     "cameras", "boards", "nominal_cameras", "nominal_boards",

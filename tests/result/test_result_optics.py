@@ -16,7 +16,7 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Samples
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
+from tests.images import BOARD, BODY, VALUES, arm, camera, cell, poses, table
 from tests.parts import of_an_earlier_version
 from tests.result.test_calibration_file import (
     WHOLE,
@@ -76,6 +76,15 @@ def test_a_board_has_the_mean_scale_as_estimated(result):
     assert found.sigma_scale == pytest.approx(np.sqrt(variance), rel=1e-12)
     assert found.sigma_scale < BOARD.sigma_scale
     assert result.optics.nominal_boards[""].square == BOARD.square
+
+
+def test_a_body_has_the_mean_scale_as_estimated():
+    found = calibrated(table(poses(8), board=BODY, noise=0.1), cell(boards={"": BODY}))
+    mean = np.mean([found.parameter(f"board_scale_{axis}").value for axis in "xyz"])
+    board = found.optics.boards[""]
+    np.testing.assert_allclose(board.corners, BODY.corners * (1.0 + mean), rtol=1e-12)
+    assert 0.0 < board.sigma_scale < BODY.sigma_scale
+    assert abs(mean) > 1e-6
 
 
 def test_what_is_exact_stays(measurements):

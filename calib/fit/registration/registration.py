@@ -7,6 +7,8 @@ first (`calib.fit.registration.frame_search`).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask
@@ -223,6 +225,8 @@ def register_held_out(T_base_tip: Array, fitted: Setup, held_out: Setup, rows: R
     """
     concerned = held_out.unknown_at(rows.samples)
     start = held_out.with_poses(fitted.T_frame_base, fitted.T_tip_target)
+    # By the numbers of lens and print as the fit estimated them, with which these rows are predicted.
+    start = replace(start, internals=fitted.internals)
     registered = _register_without_outliers(
         T_base_tip[concerned], start, rows.select(concerned), None
     )

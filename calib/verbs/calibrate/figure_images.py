@@ -289,23 +289,29 @@ def corner_errors(cameras: Sequence[SeenCorners], board: str) -> tuple[Array, Ar
         board: Name of the board.
 
     Returns:
-        The corners as designed, shape (n, 2); as printed less as designed, without the mean along the board,
+        The corners on the board's sheet, shape (n, 2); as printed less as designed, without the mean along the board,
         which moves all of it, shape (n, 3); and the displacement along the board that explains the residuals of each
-        corner best, shape (n, 2); all along the board's axes [m]. Flagged corners do not count for the displacement,
+        corner best, shape (n, 2); all along the sheet's axes [m]. Flagged corners do not count for the displacement,
         which is NaN for a corner that was flagged in all images.
     """
     places: dict[str, Array] = {}
+    axes: dict[str, Array] = {}
     printed: dict[str, Array] = {}
     residuals: dict[str, list[Array]] = {}
     for seen in cameras:
         for name, at in seen.of_board(board).items():
-            places.setdefault(name, seen.designed[at[0], :2])
+            places.setdefault(name, seen.on_sheet[at[0]])
+            axes.setdefault(name, seen.R_board_sheet[at[0]])
             printed.setdefault(name, seen.printed[at[0]] - seen.designed[at[0]])
             kept: Integers = at[~seen.flagged[at]]
             if len(kept):
                 residuals.setdefault(name, []).append(seen.along_board(kept, seen.calibrated))
-    of_print = np.array([*printed.values()])
-    of_print[:, :2] -= of_print[:, :2].mean(axis=0)
+    R = np.array([*axes.values()])
+    of_board = np.array([*printed.values()])
+    is_flat = np.array_equal(R, np.broadcast_to(np.eye(3), R.shape))
+    # A flat board that lies deeper sags, and a body that does is elsewhere.
+    of_board -= of_board.mean(axis=0) * [1.0, 1.0, 0.0 if is_flat else 1.0]
+    of_print = np.einsum("nij,ni->nj", R, of_board)
     of_corners = [np.mean(residuals.get(name, [np.full(2, np.nan)]), axis=0) for name in places]
     return np.array([*places.values()]), of_print, np.array(of_corners)
 

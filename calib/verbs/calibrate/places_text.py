@@ -10,6 +10,7 @@ import pinocchio as pin
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array
+from calib.camera import optics
 from calib.data.kinds import Kind
 from calib.diagnosis.reasons import USE
 from calib.model.error_model import BOARD, CAMERA, Parameter
@@ -212,7 +213,7 @@ def _camera(estimated: Sequence[_Estimated]) -> str:
 
 
 def _board(estimated: Sequence[_Estimated]) -> str:
-    """Word the errors of one print: scale and sag along x and y, and how far its corners are from their places."""
+    """Word the errors of one print: scale and sag along its axes, and how far its corners are from their places."""
     whole = [(parameter, p) for parameter, p in estimated if not parameter.of_one_point]
     parts = []
     for name, factor, unit in (("scale", 100.0, "%"), ("sag", 1e3, "mm")):
@@ -227,7 +228,9 @@ def _board(estimated: Sequence[_Estimated]) -> str:
     offsets = np.array([p.delta for parameter, p in estimated if parameter.of_one_point])
     if len(offsets):
         rms = float(np.sqrt(np.mean(offsets**2)))
-        parts.append(f"corners {mm(rms)} mm rms from their places along x and y")
+        is_body = any(parameter.internal == optics.OFFSET[2] for parameter, _ in estimated)
+        axes = "x, y and z" if is_body else "x and y"
+        parts.append(f"corners {mm(rms)} mm rms from their places along {axes}")
     return f"Board{_owner(estimated[0][0])} (95 %): {'; '.join(parts)}."
 
 

@@ -5,7 +5,7 @@ A residual is measured minus predicted, in pixels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
+from calib.boards.board import BODY, Board, unfolded
 from calib.camera import optics
 from calib.camera.lenses import LENSES
 from calib.fit.registration.table_rows import rows_and_setup
@@ -53,6 +54,10 @@ class SeenCorners(Value):
     T_camera_board: Array
     #: Shape (N, 3), each corner on its board as designed [m]
     designed: Array
+    #: Shape (N, 2), the same on a sheet on which the tags of a body are side by side [m]
+    on_sheet: Array
+    #: Shape (N, 3, 3), axes of the sheet at each corner in the board's frame; the identity for flat boards
+    R_board_sheet: Array
     #: Shape (N, 3), as printed, with the errors of print and flatness that the fit estimated [m]
     printed: Array
     #: Shape (N, 2, 3), change of the predicted image by a displacement of the corner along the camera's axes [px/m]
@@ -89,16 +94,17 @@ class SeenCorners(Value):
         return found
 
     def along_board(self, indices: Integers, residual: Array) -> Array:
-        """Return the displacement along a board that explains residuals of one corner best, by least squares.
+        """Return the displacement along a board's sheet that explains residuals of one corner best, by least squares.
 
         Args:
             indices: Those of the corner, from 0.
             residual: shape (N, 2), of all corners [px].
 
         Returns:
-            shape (2,), along x and y of the board [m].
+            shape (2,), along x and y of the sheet [m].
         """
-        by_board = self.by_point[indices] @ self.T_camera_board[indices][:, :3, :2]
+        R_camera_sheet = self.T_camera_board[indices][:, :3, :3] @ self.R_board_sheet[indices]
+        by_board = self.by_point[indices] @ R_camera_sheet[:, :, :2]
         solution, *_ = np.linalg.lstsq(
             by_board.reshape(-1, 2), residual[indices].ravel(), rcond=None
         )
@@ -110,15 +116,16 @@ class SeenCorners(Value):
         Returns:
             Angle between the board's normal and the line of sight to its middle, shape (V,) [rad]; direction in the
             image to which the board faces, from right over down, shape (V,) [rad]; and distance of the middle of the
-            corners seen from the camera, shape (V,) [m].
+            corners seen from the camera, shape (V,) [m]. The normal of a body is the mean of those of the tags seen.
         """
         views = [f"{image}\n{board}" for image, board in zip(self.images, self.boards, strict=True)]
         indices = _indices_by_name(views).values()
         points = self.points
         middles = np.array([points[of_view].mean(axis=0) for of_view in indices])
-        first = [int(of_view[0]) for of_view in indices]
+        into = np.einsum("nij,nj->ni", self.T_camera_board[:, :3, :3], self.R_board_sheet[:, :, 2])
         # A board's z points into the page, away from the camera.
-        normals = -self.T_camera_board[first][:, :3, 2]
+        normals = -np.array([into[of_view].mean(axis=0) for of_view in indices])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         distance = np.linalg.norm(middles, axis=1)
         cosine = -np.sum(normals * middles, axis=1) / distance
         tilt = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -168,6 +175,8 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
         nameless = cell.boards[""].name
         boards = tuple(name if name in cell.boards else nameless for name in m.targets)
 
+    on_sheet, R_board_sheet = _on_sheets(cell.boards, m.targets, names, corner, internals)
+
     seen = []
     numbers = internals[:, optics.CAMERA]
     for number in np.unique(numbers[is_image]):
@@ -200,8 +209,35 @@ def seen_corners(c: Calibration) -> tuple[SeenCorners, ...]:
                 flagged=flagged[at],
                 T_camera_board=T_camera_board,
                 designed=values[:, optics.POINT],
+                on_sheet=on_sheet[at],
+                R_board_sheet=R_board_sheet[at],
                 printed=printed,
                 by_point=by_point,
             )
         )
     return tuple(seen)
+
+
+def _on_sheets(
+    boards: Mapping[str, Board],
+    targets: Sequence[str],
+    names: Sequence[str],
+    corner: Integers,
+    internals: Array,
+) -> tuple[Array, Array]:
+    """Return where N rows' corners are on the sheets of their boards, (N, 2) [m], and the sheets' axes, (N, 3, 3).
+
+    The corners are numbered among ``names``. One that its body does not have by this name is where it is designed.
+    """
+    on_sheet: Array = internals[:, optics.POINT][:, :2].copy()
+    R_board_sheet = np.tile(np.eye(3), (len(internals), 1, 1))
+    for key, board in boards.items():
+        if board.pattern != BODY:
+            continue
+        places, R = unfolded(board)
+        for i, target in enumerate(targets):
+            name = names[corner[i]]
+            is_of_board = target == key or (key == "" and target not in boards)
+            if is_of_board and name.isdecimal() and int(name) < len(places):
+                on_sheet[i], R_board_sheet[i] = places[int(name)], R[int(name)]
+    return on_sheet, R_board_sheet

@@ -14,6 +14,7 @@ from calib.fit.selection.row_weights import Robustness
 from calib.model.error_model import FRAME, TARGET
 from calib.model.families import FAMILIES
 from calib.numerics.correlated_noise import PoseNoise
+from calib.result.board_errors import BoardErrors
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.result.parts import Outlier
@@ -112,14 +113,10 @@ def facts(c: Calibration) -> dict[str, str]:
                 "arm's lengths: if the scale is known better, say so in the cell file (instrument)."
             )
 
-    if c.geometry.board is not None:
-        b = c.geometry.board
-        result[BOARD] = (
-            f"predicted to {mm(b.predicted_across)} mm across and {mm(b.predicted_depth)} mm along the line of sight: "
-            f"rms of {b.views} held-out views, beyond their own noise ({mm(b.across_alone)} and "
-            f"{mm(b.depth_alone)} mm). "
-            f"Mean along it {mm(b.depth_bias)} ± {mm(b.depth_bias_std)} mm."
-        )
+    boards = ((c.geometry.board, "held-out"), (c.geometry.validation_board, "validation"))
+    found = [_board_text(b, which) for b, which in boards if b is not None]
+    if found:
+        result[BOARD] = " ".join(found)
 
     if c.geometry.prior_std:
         sizes = []
@@ -133,6 +130,15 @@ def facts(c: Calibration) -> dict[str, str]:
     o = c.trust.observability
     result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
     return result
+
+
+def _board_text(b: BoardErrors, which: str) -> str:
+    """Word the errors of the predicted poses of boards in three dimensions, by held-out or by validation views."""
+    return (
+        f"predicted to {mm(b.predicted_across)} mm across and {mm(b.predicted_depth)} mm along the line of sight: "
+        f"rms of {b.views} {which} views, beyond their own noise ({mm(b.across_alone)} and {mm(b.depth_alone)} mm). "
+        f"Mean along it {mm(b.depth_bias)} ± {mm(b.depth_bias_std)} mm."
+    )
 
 
 def noise_text(c: Calibration) -> str:

@@ -256,6 +256,9 @@ class Assessment(Value):
     #: What may explain the errors of the rows: a usual mistake, a frame or target that has moved since the calibration,
     #: or joints that came from other sides
     hint: Reason | None
+    #: Error of a board's position that the judged result expects near the poses that it was fitted to, rms [m]; None
+    #: without a result of images
+    expected: float | None = None
 
     def __post_init__(self) -> None:
         """Keep read-only copies of the mappings."""
@@ -362,6 +365,11 @@ def assess(
         hint = moved_place(robot_now, table, cell, calibration.setup, which)
         if hint is None and _is_from_other_sides(table, calibration):
             hint = Reason.of(Why.OTHER_SIDES)
+    expected = None
+    if calibration is not None and judged in ("calibration", "non_geometric"):
+        part = calibration.geometry if judged == "calibration" else calibration.non_geometric
+        if part is not None and part.board is not None:
+            expected, _ = part.new_point
     return Assessment(
         evaluations=evaluations,
         accuracies=accuracies,
@@ -373,6 +381,7 @@ def assess(
         accepted=accepted,
         outside=(outside, numbers),
         hint=hint,
+        expected=expected,
     )
 
 

@@ -31,7 +31,7 @@ from calib.show.blocks import (
 )
 from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn
 from calib.show.first_page import FirstPage, robot_name
-from calib.show.lines import listed
+from calib.show.lines import listed, mm
 from calib.show.verdict_text import reason_text
 from calib.show.words import chain_name, kinds_text, with_unit
 from calib.verbs.evaluate import tables
@@ -208,9 +208,16 @@ def _images(e: Assessment) -> Iterator[Block]:
         yield Paragraph(
             "The pose of the board that each image alone shows against the predicted one. Alone: what the noise of its "
             "corners makes of it. Predicted: what remains, the error of the prediction. Depth is along the line of "
-            "sight.",
+            "sight, bias its mean and standard deviation.",
             tight=True,
         )
+        shown = e.evaluations[e.judged].images
+        if e.expected is not None and shown is not None and shown.board is not None:
+            yield Paragraph(
+                f"The calibration expects {mm(e.expected)} mm rms in three dimensions near its poses; these images "
+                f"show {mm(shown.board.predicted)} mm. Those of another day show more if lens, mount or print changed.",
+                tight=True,
+            )
 
 
 def _accuracy(e: Assessment) -> Iterator[Block]:

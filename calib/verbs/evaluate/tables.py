@@ -134,11 +134,12 @@ def board_errors(e: Assessment) -> Table:
         if board is not None:
             across = (board.across, board.across_alone, board.predicted_across)
             depth = (board.depth, board.depth_alone, board.predicted_depth)
-            rows.append((NAMES[who], *across, *depth, board.depth_bias))
+            bias = (board.depth_bias, board.depth_bias_std)
+            rows.append((NAMES[who], *across, *depth, *bias))
     columns = (
         name_column("", 26),
         *(residual_column(head, "m", 9) for head in ("across", "alone", "predicted")),
-        *(residual_column(head, "m", 9) for head in ("depth", "alone", "predicted", "bias")),
+        *(residual_column(head, "m", 9) for head in ("depth", "alone", "predicted", "bias", "±")),
     )
     return Table("Boards in three dimensions [mm]", columns, rows, indent="  ")
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
-from calib.boards.board import CHARUCO, Board
+from calib.boards.board import BODY, CHARUCO, Board
 from calib.boards.printed import Print, draw_print
 from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
+from calib.errors import CalibError
 from calib.robot.robot import Robot
 from calib.verbs.simulate.mounting import reach
 from calib.verbs.simulate.random_streams import stream
@@ -87,6 +88,9 @@ def draw_equipment(
 
     Returns:
         The stated camera of each station, the true one, and the board of each target as it is printed.
+
+    Raises:
+        CalibError: A board is a body of tags.
     """
     # One without a name is moved from station to station, or from target to target.
     of_groups = [name if name in cell.cameras else "" for name in groups]
@@ -96,6 +100,12 @@ def draw_equipment(
     cameras = {name: draw_camera(camera, random) for name, camera in stated.items()}
     random = stream(seed, "board")
     boards = {name: cell.boards.get(name) or usual_board(robot) for name in of_targets}
+    for board in boards.values():
+        if board.pattern == BODY:
+            raise CalibError(
+                f"The board '{board.name}' is a body of tags, whose far tags a camera does not see; pictures are "
+                "simulated of flat boards. Give one of its size."
+            )
     prints = {name: draw_print(board, random) for name, board in boards.items()}
     return Equipment(
         stated_cameras=tuple(stated[name] for name in of_groups),

@@ -221,7 +221,8 @@ def _rays(camera: Camera, pixels: Array) -> Array:
 def _board_shapes(e: Evaluation, boards: Sequence[str]) -> dict[str, Shape]:
     """Return the shape of each board in the images by its name: corners as designed, on a plate with a margin.
 
-    ``boards`` names the board of each row of the evaluation; the margin is the least spacing of its corners along x.
+    ``boards`` names the board of each row of the evaluation; the margin is the least spacing of its corners along x. A
+    body of tags is a box around its corners.
     """
     points = e.measurements.board_points
     assert points is not None
@@ -231,15 +232,18 @@ def _board_shapes(e: Evaluation, boards: Sequence[str]) -> dict[str, Shape]:
         corners = np.unique(points[names == board], axis=0)
         low, high = corners.min(axis=0), corners.max(axis=0)
         steps = np.diff(np.unique(corners[:, 0].round(6)))
-        margin = float(steps.min()) if len(steps) else 0.0
-        size = high - low + 2.0 * margin
+        is_flat = not np.any(corners[:, 2])
+        margin = float(steps.min()) if is_flat and len(steps) else 0.0
+        size = np.maximum(high - low + 2.0 * margin, _THICKNESS)
         middle = 0.5 * (low + high)
         shapes[board] = Shape(
             lines=np.zeros((0, 2, 3)),
             points=corners,
-            edges=np.array([size[0], size[1], _THICKNESS]),
+            edges=np.array([size[0], size[1], _THICKNESS if is_flat else size[2]]),
             # z points into the board, so the plate lies at +z, behind the corners.
-            T_shape_body=translation([middle[0], middle[1], 0.6 * _THICKNESS]),
+            T_shape_body=translation(
+                [middle[0], middle[1], 0.6 * _THICKNESS if is_flat else middle[2]]
+            ),
         )
     return shapes
 

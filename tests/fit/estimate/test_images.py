@@ -18,22 +18,26 @@ from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
 from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
+from calib.numerics.rigid_motion import best_motion, displacements_by
 from calib.numerics.solvers import levenberg_marquardt
-from tests.images import BOARD, VALUES, arm, camera, cell, poses, table
+from tests.images import BOARD, BODY, VALUES, arm, camera, cell, poses, table
 
 
-def problem(lens):
+def problem(lens, board=BOARD):
     robot = arm()
-    rows, setup = rows_and_setup(robot, table(poses(5), lens=lens, noise=0.3), cell(lens))
+    c = cell(lens, boards={"": board})
+    rows, setup = rows_and_setup(robot, table(poses(5), lens=lens, board=board, noise=0.3), c)
     registered = register(robot.poses(rows.joints), setup, rows)
-    model = Task(robot, cell(lens), registered, "dh").error_model()
+    model = Task(robot, c, registered, "dh").error_model()
     kinematics = Kinematics(robot, model, registered.T_frame_base, registered.T_tip_target)
     return Problem.initial(kinematics, rows)
 
 
-@pytest.mark.parametrize("lens", LENSES)
-def test_jacobian_of_all_unknowns_is_that_of_differences(lens):
-    p = problem(lens)
+@pytest.mark.parametrize(
+    ("lens", "board"), [*((lens, BOARD) for lens in LENSES), ("pinhole", BODY)]
+)
+def test_jacobian_of_all_unknowns_is_that_of_differences(lens, board):
+    p = problem(lens, board)
     model = p.kinematics.model
     x = 1e-3 * np.random.default_rng(7).normal(size=p.size)
     J = p.prediction_jacobian(x)
@@ -68,6 +72,47 @@ def test_a_fit_recovers_arm_camera_and_print():
     assert estimated["board_scale_x"] - estimated["board_scale_y"] == pytest.approx(0.003, abs=2e-4)
     for name, value in zip(model.names[1:-1], x[1:-1], strict=True):
         assert estimated[name] == pytest.approx(value, abs=5e-4)
+
+
+def test_a_board_that_only_held_out_images_show_is_placed_with_the_lens_as_estimated():
+    """By the lens that was given, of a centre 30 px off, it would be placed, and predicted, elsewhere."""
+    robot = arm()
+    given = VALUES["pinhole"] + [0.0, 0.0, 30.0, -20.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    sigma = np.array([0.0, 0.0, 50.0, 50.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    exact = replace(BOARD, sigma_scale=0.0, sigma_warp=0.0, sigma_corner=0.0)
+    c = cell(cameras={"": camera(values=given, sigma=sigma)}, boards={"": exact})
+    m = table(poses(16))
+    later = np.array([int(name[:-4]) >= 10 for name in m.images])
+    m = replace(m, targets=tuple(np.where(later, "there", "here").tolist()))
+    rows, setup = rows_and_setup(robot, m, c)
+    here, there = rows.select(~later), rows.select(later)
+    of_here = np.array([name == "here" for name in setup.targets])
+    seen = setup.with_fixed(np.zeros(len(setup.groups), dtype=bool), ~of_here)
+    unseen = setup.with_fixed(np.ones(len(setup.groups), dtype=bool), of_here)
+    fitted = fit(Task(robot, c, seen, "frames"), here).with_held_out(unseen, there)
+    assert np.abs(fitted.residual(here)).max() < 0.01
+    assert np.abs(fitted.residual(there)).max() < 0.01
+
+
+def test_a_fit_finds_where_the_corners_of_a_body_are():
+    """As well along z as across it; what all of them share is a motion of the body, which nothing else tells."""
+    rng = np.random.default_rng(2)
+    off = 3e-4 * rng.standard_normal(BODY.corners.shape)
+    exact = camera(sigma=np.zeros(9))
+    board = replace(BODY, sigma_scale=0.0)
+    c = cell(cameras={"": exact}, boards={"": board}, sigma={"px": 0.01})
+    m = table(poses(14), board=board, points=board.corners + off)
+    rows, setup = rows_and_setup(arm(), m, c)
+    fitted = fit(Task(arm(), c, setup, "frames"), rows)
+    assert np.sqrt(np.mean(fitted.residual(rows) ** 2)) < 1e-3
+    estimated = dict(zip(fitted.kinematics.model.names, fitted.estimate.x, strict=True))
+    count = len(BODY.corners)
+    found = np.array([[estimated[f"corner_{k}_{axis}"] for axis in "xyz"] for k in range(count)])
+    left = found - off
+    motion = best_motion(BODY.corners, left[:, :, None])
+    left -= displacements_by(motion, BODY.corners)[:, :, 0]
+    assert np.sqrt(np.mean(left**2)) < 2e-6
+    assert np.abs(found[:, 2]).max() > 3e-4
 
 
 def test_corners_of_one_image_share_the_errors_of_the_robot():

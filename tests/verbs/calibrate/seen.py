@@ -42,6 +42,8 @@ def corners(residual, *, measured=None, images=None, **changes) -> SeenCorners:
         "flagged": np.zeros(n, dtype=bool),
         "T_camera_board": T_camera_board,
         "designed": places,
+        "on_sheet": places[:, :2],
+        "R_board_sheet": np.tile(np.eye(3), (n, 1, 1)),
         "printed": places,
         "by_point": by_point,
     }

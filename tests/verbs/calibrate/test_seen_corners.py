@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.boards.board import unfolded
 from calib.camera.lenses import LENSES
+from calib.result.calibrate import calibrate
+from calib.verbs.calibrate.figure_images import corner_errors
 from calib.verbs.calibrate.seen_corners import image_rows, seen_corners
-from tests.images import BOARD
+from tests.images import BOARD, BODY, arm, cell, poses, table
 from tests.verbs.calibrate.seen import by_images, corners
 
 
@@ -26,6 +29,26 @@ def test_corners_are_those_of_the_table_and_their_images_are_predicted():
     projected = LENSES["pinhole"].project(seen.points, c.optics.cameras[""].values)
     np.testing.assert_allclose(seen.measured - projected, seen.calibrated, atol=1e-6)
     np.testing.assert_array_equal(seen.held_out, c.cross_validation.residual[:, :2])
+
+
+def test_corners_of_a_body_are_on_a_sheet_and_its_views_face_as_its_tags():
+    m = table(poses(8), board=BODY, noise=0.1)
+    c = calibrate(arm(), m, cell=cell(boards={"": BODY}, model="zeros"), validate=False)
+    (seen,) = seen_corners(c)
+    places, R = unfolded(BODY)
+    np.testing.assert_array_equal(seen.on_sheet[:20], places)
+    np.testing.assert_array_equal(seen.R_board_sheet[:20], R)
+    tilt, _, _ = seen.board_views()
+    # The first tag is in the x-y plane, and the others are turned away from it evenly.
+    normal = seen.T_camera_board[0, :3, 2]
+    middle = seen.points[:20].mean(axis=0)
+    assert tilt[0] == pytest.approx(np.arccos(normal @ middle / np.linalg.norm(middle)), abs=1e-6)
+    on_sheet, printed, residual = corner_errors([seen], "pyramid")
+    assert on_sheet.shape == residual.shape == (20, 2)
+    # Errors of the print along the axes of the tags.
+    of_body = seen.printed[:20] - seen.designed[:20]
+    of_body -= of_body.mean(axis=0)
+    np.testing.assert_allclose(printed[7], R[7].T @ of_body[7], atol=1e-12)
 
 
 def test_a_displacement_of_a_corner_in_the_camera_displaces_its_image():

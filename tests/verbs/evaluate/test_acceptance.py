@@ -21,7 +21,10 @@ from calib.verbs.evaluate.accuracy import accuracy
 from calib.verbs.evaluate.evaluation import Evaluation, evaluate
 from calib.verbs.evaluate.evaluation_file import acceptance_table
 from calib.verbs.evaluate.report import Origins, summary
-from calib.verbs.evaluate.tables import accuracies
+from calib.verbs.evaluate.tables import accuracies, board_errors
+from calib.verbs.evaluate.text import NAMES
+from tests import images
+from tests.verbs.calibrate.seen import by_images
 
 
 def table_of(
@@ -231,3 +234,20 @@ def test_what_nothing_can_be_judged_by_is_refused(
 ):
     with pytest.raises(error, match=message):
         acceptance(evaluation(ur3, [0.1]), **options)
+
+
+def test_what_a_calibration_of_images_expects_of_a_board_is_told_of_the_robot_that_is_judged():
+    c = by_images()
+    m = images.table(images.poses(14)[10:], noise=0.3)
+    found = assess(images.arm(), m, images.cell(), c)
+    assert found.expected == c.new_point[0]
+    board = found.evaluations["calibration"].images.board
+    assert board.views == 4
+    (shown,) = [row for row in board_errors(found).rows if row[0] == NAMES["calibration"]]
+    assert shown[1:] == (
+        *(board.across, board.across_alone, board.predicted_across),
+        *(board.depth, board.depth_alone, board.predicted_depth),
+        *(board.depth_bias, board.depth_bias_std),
+    )
+    assert assess(images.arm(), m, images.cell(), c, judge="nominal").expected is None
+    assert assess(images.arm(), m, images.cell()).expected is None
