@@ -84,9 +84,13 @@ def write_pictures(
         for joint in simulated.truth.nominal.inputs
     ]
     has_sets = SETS[1] in pictures.sets
-    rows: list[list[object]] = [["image", *headers, *(["set"] if has_sets else [])]]
+    station = [
+        name for name in simulated.truth.groups if name
+    ]  # of the one camera, if it has a name
+    names = ["image", *(["group"] if station else [])]
+    rows: list[list[object]] = [[*names, *headers, *(["set"] if has_sets else [])]]
     for file_name, numbers, name in zip(pictures.images, values, pictures.sets, strict=True):
-        rows.append([file_name, *numbers.tolist(), *([name] if has_sets else [])])
+        rows.append([file_name, *station, *numbers.tolist(), *([name] if has_sets else [])])
     contents = {
         JOINTS: csv_bytes(rows),
         BOARD: board_toml(equipment.printed.board).encode(),

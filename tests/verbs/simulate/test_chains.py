@@ -213,6 +213,20 @@ def test_the_truth_file_names_camera_and_board_of_each_picture(pictures, tmp_pat
     assert "Camera 'wrist'" in text
 
 
+def test_the_joints_of_pictures_name_the_camera(tmp_path: Path):
+    cell = replace(
+        WRIST_AND_WALL,
+        bases={"wrist": "panda_link8"},
+        tips={"table": "panda_link0"},
+        cameras={"wrist": Camera(width=320, height=240)},
+    )
+    made = simulate(Scenario("panda", cell), 1, 0, seed=2)
+    write_pictures(made, tmp_path)
+    header, row = (tmp_path / "joints.csv").read_text().splitlines()
+    assert header.startswith("image,group,panda_joint")
+    assert row.startswith("wrist_01.png,wrist,")
+
+
 def test_what_no_joint_moves_is_refused():
     cell = replace(WRIST_AND_WALL, tips={"flange": "panda_link8"}, bases={**WRIST_AND_WALL.bases})
     with pytest.raises(ModelError, match=r"'wrist' on 'panda_link8'"):
