@@ -5,7 +5,8 @@ A row between the links of two robots is predicted by
     T_frame_target = T_frame_base  C_1(q)^-1  M  C_2(q)  T_tip_target
 
 with the mount M of the second robot in the root of the first. M is refined together with frames and targets from the
-pose that the URDF has, or, if that is the identity, from each of the 24 right-angled rotations.
+pose that the URDF has, or, if that is the identity, from each of the 24 right-angled rotations. Of images the poses of
+their boards are registered first: corners lead nowhere from a start at which cameras look away.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from calib.errors import SolverError
 from calib.fit.registration.registration import register
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
+from calib.fit.registration.views import views_as_poses
 from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
@@ -49,7 +51,8 @@ def with_mounts_found(robot: Robot, setup: Setup, rows: Rows) -> Robot:
         MeasurementError: As of `register`.
         SolverError: The residual is not finite at any start.
     """
-    chosen = rows.select(rows.evenly(_ROWS))
+    searched = views_as_poses(rows)[0] if np.any(rows.has_views) else rows
+    searched = searched.select(searched.evenly(_ROWS))
     # The rotations of a cube: from one of them, refinement converges.
     turns = np.tile(np.eye(4), (24, 1, 1))
     turns[:, :3, :3] = Rotation.create_group("O").as_matrix()
@@ -63,7 +66,7 @@ def with_mounts_found(robot: Robot, setup: Setup, rows: Rows) -> Robot:
     for poses in itertools.product(*starts):
         start = robot.with_limbs(placements, dict(zip(robot.mounts, poses, strict=True)))
         try:
-            cost, model, x = _refined(start, setup, chosen)
+            cost, model, x = _refined(start, setup, searched)
         except SolverError as error:
             fault = error
             continue
@@ -72,7 +75,11 @@ def with_mounts_found(robot: Robot, setup: Setup, rows: Rows) -> Robot:
         assert fault is not None
         raise fault
     _, start, model, x = min(minima, key=lambda minimum: minimum[0])
-    return model.apply(start, x)
+    found = model.apply(start, x)
+    if np.any(rows.has_views):
+        _, model, x = _refined(found, setup, rows.select(rows.evenly(_ROWS)))
+        found = model.apply(found, x)
+    return found
 
 
 def _refined(robot: Robot, setup: Setup, rows: Rows) -> tuple[float, ErrorModel, Array]:
