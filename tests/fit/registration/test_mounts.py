@@ -5,6 +5,8 @@ import pinocchio as pin
 import pytest
 
 from calib.basics.arrays import Array
+from calib.boards.board import Board
+from calib.camera.camera import Camera
 from calib.data.cell import Cell, FurtherRobot
 from calib.data.cell_chains import robot_of_cell
 from calib.data.measurements import Measurements
@@ -14,6 +16,7 @@ from calib.numerics.geometry import pose_of
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
+from calib.verbs.simulate.scenario import Scenario, simulate
 
 PLACE = pose_of(xyz=[1.1, 0.2, 0.05], rotation=pin.exp3(np.array([0.05, -0.02, 2.8])))
 
@@ -71,3 +74,23 @@ def test_poses_of_one_hand_seen_from_the_other():
     )
     mount = found(robot, table, cell)
     assert np.allclose(mount, PLACE, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_images_by_one_hand_of_a_board_on_the_other_at_any_postures():
+    """From most starts the camera looks away from the board, and corners alone would lead nowhere."""
+    cell = Cell(
+        kind="pixel",
+        robots={"right": FurtherRobot("panda")},
+        bases={"camera": "panda_link8"},
+        tips={"board": "right/panda_link8"},
+        cameras={"camera": Camera(width=1280, height=720)},
+        boards={"board": Board(pattern="chessboard", columns=5, rows=4, square=0.04)},
+    )
+    made = simulate(Scenario("panda", cell), 40, 0, seed=1)
+    robot = robot_of_cell(read_urdf("panda"), cell, sights=[("camera", "board")])
+    mount = found(robot, made.measurements, cell)
+    true = made.truth.robot.urdf.joint("right/mount").T_parent_joint
+    # The nominal arms are off by millimetres.
+    assert np.linalg.norm(mount[:3, 3] - true[:3, 3]) < 0.03
+    assert np.linalg.norm(pin.log3(mount[:3, :3].T @ true[:3, :3])) < 0.03
