@@ -87,7 +87,7 @@ def test_images_by_one_hand_of_a_board_on_the_other_at_any_postures():
         cameras={"camera": Camera(width=1280, height=720)},
         boards={"board": Board(pattern="chessboard", columns=5, rows=4, square=0.04)},
     )
-    made = simulate(Scenario("panda", cell), 40, 0, seed=1)
+    made = simulate(Scenario("panda", cell), 80, 0, seed=1)
     robot = robot_of_cell(read_urdf("panda"), cell, sights=[("camera", "board")])
     mount = found(robot, made.measurements, cell)
     true = made.truth.robot.urdf.joint("right/mount").T_parent_joint
