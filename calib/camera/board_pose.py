@@ -190,7 +190,7 @@ def _pose_of_body(points: Array, images: Array) -> Array | None:
     rays = _homogeneous(images)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     towards = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
-    aside = np.linalg.svd(towards[None])[2][1]
+    aside = np.linalg.svd(towards[None])[2][1]  # any unit vector across
     turn = np.array([aside, np.cross(towards, aside), towards])
     turned = rays @ turn.T
     if turned[:, 2].min() <= 0.0:

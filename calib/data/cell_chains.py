@@ -176,7 +176,7 @@ def refuse_several_chains(cell: Cell, what: str) -> None:
 
     Args:
         cell: Links of frames and targets, and further robots.
-        what: What is made of one chain, such as ``"calib plan chooses poses"``.
+        what: What is made of one chain, such as ``"calib workspace shows where a target gets"``.
 
     Raises:
         ModelError: It names links by station or target, or further robots.
@@ -246,7 +246,7 @@ def _robot_between_links(
         return Robot.from_urdf(
             urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
         )
-    if not seen:
+    if not seen:  # without a table: of cameras and boards the cell has more names than of links
         stations = named_stations(cell, images=True)
         every = tuple(itertools.product(stations, named_targets(cell, images=True)))
         seen = tuple(sight for sight in every if _moves(urdf, cell, *sight)) or every

@@ -30,7 +30,8 @@ _ROUGH = 0.1
 #: Tolerance of the last solve, in the same steps.
 _FINE = 1e-9
 
-#: A stage's solution that is closer than this is first sought on the linearised problem, in the same steps.
+#: A stage's solution that is closer than this is first sought on the linearised problem, in the same steps: 5 mrad
+#: squared are a quarter of the rough tolerance, so that the next linearisation confirms nearly all.
 _CLOSE = 5.0
 
 #: A parameter at its bound is released if that lowers the sum of squares by more than this.
@@ -54,6 +55,7 @@ class StageSolver:
         self._problem = problem
         self._solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
         self._step = steps(problem.kinematics.model.units)
+        self._of_images = bool(np.any(problem.rows.has_views))
         self._x: Array = start.copy()
         self._solution: Solution | None = None  # Of all solves so far
         self._linear: LinearProblem | None = None  # At the solution of the last stage
@@ -72,10 +74,13 @@ class StageSolver:
             ArgumentError: A solver that a user wrote returned something else than a `Solution`.
             SolverError: The residual is not finite at the start.
         """
-        linear = self._problem.linear(self._x) if self._linear is None else self._linear
-        _, covariance, _ = stage.fit(linear)
+        step_size = self._step
+        if self._of_images:
+            linear = self._problem.linear(self._x) if self._linear is None else self._linear
+            _, covariance, _ = stage.fit(linear)
+            step_size = self._step_size(covariance)
         system = problem_at_stage(self._problem, stage).system
-        solution = self._solver(system, self._x, self._step_size(covariance), tolerance)
+        solution = self._solver(system, self._x, step_size, tolerance)
         if not isinstance(solution, Solution):  # of a solver that a user wrote
             raise ArgumentError(
                 f"The solver returned a value of the type {type(solution).__name__}; it must be a Solution "
@@ -107,7 +112,7 @@ class StageSolver:
 
         if self._linear is not None:
             x, moved = step_to_solution(self._linear, self._x)
-            if moved <= _ROUGH:  # the difference is of the order of 1e-8 m and rad
+            if moved <= _ROUGH:  # the linearisation is off by its square: by 1e-8 m and rad
                 return self._linear
             if moved <= _CLOSE:
                 # A step as short as this needs no damping, if the next one confirms it.
@@ -123,7 +128,7 @@ class StageSolver:
 
     def _step_size(self, covariance: Array) -> Array:
         """The steps in which changes of parameters count, (p,), where they have a covariance (1, p, p)."""
-        if not np.any(self._problem.rows.has_views):
+        if not self._of_images:
             return self._step
         return np.asarray(np.maximum(self._step, np.sqrt(np.diagonal(covariance[0]))))
 
