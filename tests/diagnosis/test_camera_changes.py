@@ -63,7 +63,7 @@ def test_a_camera_that_was_refocused(seen: tuple[VirtualCell, Measurements]) -> 
     assert cell.equipment.camera.values is not None
     values = cell.equipment.camera.values * np.where(np.arange(9) < 2, 1.01, 1.0)
     camera = replace(cell.equipment.camera, values=read_only(values))
-    both = changed(table, replace(cell, equipment=replace(cell.equipment, camera=camera)))
+    both = changed(table, replace(cell, equipment=replace(cell.equipment, cameras=(camera,))))
     (finding,) = changes_between_pictures(cell.truth.nominal, CELL, both)
     assert finding.reason.why is Why.CAMERA_REFOCUSED
     assert finding.reason.values["share"] == pytest.approx(0.01, rel=0.3)

@@ -58,7 +58,7 @@ def test_without_a_robot_mount_and_board_are_within_the_bound():
     import flange_poses_study as study
 
     scene = study.make_scene(study.SETS[1], 2)
-    ratios = study.ratio(scene, 6)
+    ratios = study.ratio(scene, range(6))
     # Six draws of twelve coordinates, which are correlated.
     assert min(ratios) > 0.5
     assert max(ratios) < 1.5

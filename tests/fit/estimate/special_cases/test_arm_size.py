@@ -234,7 +234,12 @@ def test_without_a_known_distance_as_good_as_with_one(make_scene, join, arm, see
     alone, size, result = held_out(robot, table, Cell())
     assert alone < 1.1 * known
     assert abs(size) < 1e-3
-    assert result.verdict.use == "use"
+    if arm == "baxter":
+        # With the hands elsewhere up to three fifths of the nominal error remain: no contact between them sees that.
+        assert "hands_alone" in {reason.code for reason in result.verdict.reasons}
+        assert result.verdict.use != "do not use"
+    else:
+        assert result.verdict.use == "use"
 
 
 def test_frames_and_targets_grow_so_that_predictions_stay():
