@@ -15,6 +15,7 @@ from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.expected import expected_errors
 from calib.verbs.compensate.nominal_actual import chain_of_hand, pair_of
 from calib.verbs.compensate.robot_program import Program
+from calib.verbs.compensate.text import text
 from calib.verbs.simulate.scenario import Scenario, simulate
 from tests.two_handed import JOINTS, fitted
 
@@ -135,3 +136,16 @@ def test_a_base_is_honoured_if_all_joints_from_it_were_calibrated():
         chain_of_hand(c, "b", None, "panda_leftfinger")
     with pytest.raises(UrdfError, match="'nolink'"):
         chain_of_hand(c, "b", None, "nolink")
+
+
+def test_from_a_base_without_a_frame_the_first_frame_that_sees_the_hand_is_advised():
+    c = fitted()
+    q = np.array([[0.3, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4], [0.1, 0.4, -0.3, -1.2, 0.6, 1.1, -0.4]])
+    for base, said in (("panda_link0", ""), ("right/panda_link0", " --base panda_link0")):
+        nominal = c.nominal.rebuilt(None, *chain_of_hand(c, "b", None, base))
+        found = compensate(c, Program.of_joints(q), nominal=nominal, tool="b", accept=True)
+        assert found.expected is not None
+        squares = dict.fromkeys(found.expected.contributions, 1e-8) | {"base": 1e-6}
+        expected = replace(found.expected, contributions=squares, in_measured_frame=1.23e-4)
+        words = " ".join(text(replace(found, expected=expected), "result.json", None).split())
+        assert f'--poses-in "{c.setup.groups[0]}"{said} (0.123 mm)' in words
