@@ -27,7 +27,9 @@ def test_a_hand_is_named_by_its_link_its_target_or_the_tool():
     assert chain_of_hand(c, "b", None) == right
     assert chain_of_hand(c, None, "b") == right
     for hand in (None, "c", "panda_link4"):
-        with pytest.raises(ModelError, match="several chains, to 'panda_link8', 'right/panda"):
+        with pytest.raises(
+            ModelError, match=r"several hands, .*'panda_link8', 'right/panda.*--tip a or --tip b"
+        ):
             chain_of_hand(c, hand, None)
 
 
@@ -47,6 +49,14 @@ def test_a_tool_on_the_other_hand_is_refused():
     left = c.nominal.rebuilt(None, "panda_link0", "panda_link8")
     with pytest.raises(ModelError, match="'b' is on 'right/panda_link8', but the chain ends at"):
         pair_of(c, left, tool="b")
+
+
+def test_the_only_target_of_the_named_hand_is_the_tool_without_its_name():
+    c = fitted()
+    right = c.nominal.rebuilt(None, *chain_of_hand(c, "b", None))
+    assert pair_of(c, right, tool="").target == "b"
+    with pytest.raises(ModelError, match="it has 'a', 'b'"):
+        pair_of(c, tool="")
 
 
 @pytest.fixture(scope="module")
