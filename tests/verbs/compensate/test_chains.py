@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.errors import ModelError, UrdfError
+from calib.errors import MeasurementError, ModelError, UrdfError
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
+from calib.verbs.compensate.command import _check_hand
 from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.expected import expected_errors
 from calib.verbs.compensate.nominal_actual import chain_of_hand, pair_of
@@ -57,6 +59,18 @@ def test_the_only_target_of_the_named_hand_is_the_tool_without_its_name():
     assert pair_of(c, right, tool="").target == "b"
     with pytest.raises(ModelError, match="it has 'a', 'b'"):
         pair_of(c, tool="")
+
+
+def test_a_program_of_the_other_hand_is_refused():
+    c = fitted()
+    right = c.nominal.rebuilt(None, *chain_of_hand(c, "b", None))
+    file = Path("program.csv")
+    with pytest.raises(MeasurementError, match=r"'a' .*'right/panda_link8' .*--tip a\?"):
+        _check_hand(file, {*JOINTS, "x"}, right, c)
+    # Joints of both hands, poses alone, and a joint that is missing of the only hand there is are other matters.
+    both = {*JOINTS, *right.joint_names}
+    for columns in (both, {"x", "y", "z"}, set(right.joint_names[1:]), None):
+        _check_hand(file, columns, right, c)
 
 
 @pytest.fixture(scope="module")
