@@ -222,6 +222,11 @@ def test_a_result_gives_the_links_and_refuses_others():
     assert load("panda", cell, result=c).joint_names == NAMES
     with pytest.raises(CalibError, match=r"result for --tip 'a=panda_link8', but 'a=panda_link7'"):
         with_chain_of_result(Cell(tips={"a": "panda_link7"}), c, "result.json")
+    # A new target is on a link that the result has.
+    added = with_chain_of_result(Cell(tips={"c": "panda_link8"}), c, "result.json")
+    assert dict(added.tips) == {**CELL.tips, "c": "panda_link8"}
+    with pytest.raises(CalibError, match="'c=panda_link7' was given"):
+        with_chain_of_result(Cell(tips={"c": "panda_link7"}), c, "result.json")
 
 
 def test_joints_of_a_second_robot_need_its_name(tmp_path):
