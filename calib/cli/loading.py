@@ -155,8 +155,16 @@ def with_chain_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
 
 
 def _with_links_of_result(cell: Cell, result: Calibration, name: str) -> Cell:
-    """Return the cell with the links of a result's frames and targets; CalibError if it names another for one."""
+    """Return the cell with the links of a result's frames and targets; CalibError if it names another for one.
+
+    A target that the result lacks may be on a link that a target of the result is on.
+    """
     of_result = result.setup.in_cell(cell)
+    links = of_result.tips
+    new = {
+        key: link for key, link in cell.tips.items() if key not in links and link in links.values()
+    }
+    of_result = replace(of_result, tips={**links, **new})
     pairs = (("base", cell.bases, of_result.bases), ("tip", cell.tips, of_result.tips))
     for option, given, required in pairs:
         for key, link in given.items():

@@ -16,6 +16,7 @@ from calib.data.columns import WORD_COLUMNS, name_columns
 from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.stops import is_stop, stop_links
 from calib.errors import ModelError, UrdfError, choices, did_you_mean
+from calib.robot.default_tip import SeveralArmsError
 from calib.robot.joined_urdf import Part, joined_urdf
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
@@ -243,9 +244,13 @@ def _robot_between_links(
     seen = tuple(sights or ())
     stops = [sight for sight in seen if is_stop(urdf, *sight)]
     if not cell.bases and not cell.tips and not stops:
-        return Robot.from_urdf(
-            urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
-        )
+        try:
+            return Robot.from_urdf(
+                urdf, cell.base, cell.tip, measured, cell.held, cell.coupling, parts=parts
+            )
+        except SeveralArmsError as e:
+            targets = dict.fromkeys(target for _, target in seen)
+            raise SeveralArmsError(e.source, e.tips, tuple(targets)) from None
     if not seen:  # without a table: of cameras and boards the cell has more names than of links
         stations = named_stations(cell, images=True)
         every = tuple(itertools.product(stations, named_targets(cell, images=True)))

@@ -244,7 +244,9 @@ def hardly_moved(robot: Robot, rows: Rows) -> Mask:
     return np.asarray(np.ptp(robot.input_values(rows.joints), axis=0) < least)
 
 
-def sole_postures(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
+def sole_postures(
+    fitted: Fitted, numbers: Integers, images: Sequence[str] = ()
+) -> Iterator[Reason]:
     """Name poses that alone determine a direction of the parameters: a joint moves only there, say.
 
     With the derivative A of what is predicted at the pose, in units of the noise, and the covariance C of the
@@ -255,10 +257,11 @@ def sole_postures(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
     Args:
         fitted: A fit to N rows.
         numbers: The rows' numbers in the table, shape (N,).
+        images: Of rows that are corners in pictures the picture's name, N strings; empty: there are no such rows.
 
     Yields:
-        At most one reason: of each such pose the number of its first row, and the joint whose value there is farthest
-        from that of all other rows, as a share of its range.
+        At most one reason: of each such pose the number of its first row, its picture, and the joint whose value there
+        is farthest from that of all other rows, as a share of its range.
     """
     problem, rows = fitted.estimate.problem, fitted.estimate.problem.rows
     linear = problem.linear(fitted.estimate.x)
@@ -284,13 +287,16 @@ def sole_postures(fitted: Fitted, numbers: Integers) -> Iterator[Reason]:
     values = robot.input_values(rows.joints)
     low, high = column_ranges(robot).T
     joints: dict[int, str] = {}  # by the row's number in the table
+    pictures = []
     for b in np.unique(block[sole]).tolist():
         of_pose = block == b
         here = int(np.flatnonzero(of_pose)[0])
         nearest = np.min(np.abs(values[~of_pose] - values[here]), axis=0) / (high - low)
         joints[int(numbers[here])] = robot.joint_names[int(np.argmax(nearest))]
+        pictures.append(images[here] if images else "")
     if joints:
-        yield Reason.of(Why.SOLE_POSTURE, rows=list(joints), joints=list(joints.values()))
+        named = {"pictures": pictures} if any(pictures) else {}
+        yield Reason.of(Why.SOLE_POSTURE, rows=list(joints), joints=list(joints.values()), **named)
 
 
 def _seen_by_others(rows: Rows, block: Integers) -> Mask:

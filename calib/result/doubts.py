@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import compress
 
 import numpy as np
 
@@ -89,7 +90,8 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
         yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
     yield from still_joints(fitted.task.robot, rows)
     if has_weights_and_priors(result.method.solver):
-        yield from sole_postures(result.fit.geometry, np.array(m.rows)[m.estimation])
+        images = list(compress(m.images, m.estimation))
+        yield from sole_postures(result.fit.geometry, np.array(m.rows)[m.estimation], images)
     if _is_named_model(result) and not is_flange:
         yield from _missing_model(few)
     yield from partial_coverage(few)

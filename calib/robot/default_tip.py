@@ -11,7 +11,7 @@ A parallelogram inside an arm is none, because the wrist lies beyond its rods.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 from calib.errors import UrdfError, choices
 from calib.robot.chain import MOVING, driver_of
@@ -30,6 +30,27 @@ _WRIST_WORDS = ("roll", "pitch", "yaw")
 
 #: Two arms have at least so many measured joints each that the other has not; a head or fingers have fewer.
 _FEWEST_OF_ARM = 3
+
+
+class SeveralArmsError(UrdfError):
+    """The joints of several arms are measured, and the tip is not named."""
+
+    def __init__(self, source: str, tips: Sequence[str], targets: Sequence[str] = ()) -> None:
+        """Word what to type, of a URDF by the ends of its arms and by the targets that the table names, if known."""
+        self.source, self.tips = source, tuple(tips)
+        ends = (
+            f"{source}: the table has the joints of {len(tips)} arms, which end at {choices(tips)}"
+        )
+        if len(targets) > 1:
+            named = " ".join(f"--tip {target}=LINK" for target in targets)
+            fix = f", and the targets {choices(targets)}. Name the link of each: {named}."
+        else:
+            each = " ".join(f"--tip NAME={link}" for link in tips)
+            fix = (
+                f". Name the one that carried the target, --tip {tips[0]}; or each, with its name in the column "
+                f"'target': {each}."
+            )
+        super().__init__(ends + fix)
 
 
 def farthest_link(
@@ -95,11 +116,7 @@ def _check_one_arm(urdf: Urdf, tips: Mapping[str, frozenset[str]]) -> None:
         if any(len(names - other) >= _FEWEST_OF_ARM for other in arms)
     ]
     if len(apart) > 1:
-        several = " ".join(f"--tip NAME={link}" for link in apart)
-        raise UrdfError(
-            f"{urdf.source}: the table has the joints of {len(apart)} arms, which end at {choices(apart)}. Name the "
-            f"one that carried the target, --tip {apart[0]}; or each, with its name in the column 'target': {several}."
-        )
+        raise SeveralArmsError(urdf.source, apart)
 
 
 def _drivers(urdf: Urdf, held: Mapping[str, float]) -> dict[str, str | None]:

@@ -169,7 +169,7 @@ SENTENCES = {
     "more than an uncalibrated arm. Is it the right URDF?",
     Why.JOINTS_STILL: "Joints that hardly moved: {joints}. Their errors are known near these "
     "values only; measure poses that move every joint.",
-    Why.SOLE_POSTURE: "{sole}, and no other row can check it: measure {whose} again, and add poses "
+    Why.SOLE_POSTURE: "{sole}, and no other row can check it: {again}, and add poses "
     "with {those} at other values.",
     Why.MODEL_LACKS: "The model '{model}' leaves residuals of {noise} per coordinate, "
     "'{non_geometric}' would leave {less_noise}: the robot has errors that this model lacks. "
@@ -516,7 +516,7 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
     if isinstance(values.get("names"), Sequence):
         words["names"] = choices(values["names"], limit=12)
     if "rows" in values and "joints" in values:
-        words |= _sole_postures(values["rows"], values["joints"])
+        words |= _sole_postures(values["rows"], values["joints"], values.get("pictures"))
     if words["less_noise"] and "model" in values:
         less = f"{words['less_noise']} rms"
         words["less"] = less
@@ -569,23 +569,34 @@ def _percent(share: float) -> str:
     return f"{percent:.1g}" if percent >= _SMALLEST_PERCENT else f"less than {_SMALLEST_PERCENT:g}"
 
 
-def _sole_postures(rows: Sequence[int], joints: Sequence[str]) -> dict[str, str]:
-    """Word which rows, by number, alone determine the errors of which joint, one for each row, for `SENTENCES`."""
-    rows_of_joint: dict[str, list[str]] = {}
-    for row, joint in zip(rows, joints, strict=True):
-        rows_of_joint.setdefault(joint, []).append(str(row))
+def _sole_postures(
+    rows: Sequence[int], joints: Sequence[str], pictures: Sequence[str] | None
+) -> dict[str, str]:
+    """Word which rows, by number, alone determine the errors of which joint, one for each row, for `SENTENCES`.
+
+    Rows that are corners are called by their pictures; None, or an empty name: by their numbers.
+    """
+    names = [str(row) for row in rows]
+    thing, measure = "row", "measure"
+    if pictures is not None and all(pictures):
+        names = [f"'{picture}'" for picture in pictures]
+        thing, measure = "picture", "take"
+    named_of_joint: dict[str, list[str]] = {}
+    for name, joint in zip(names, joints, strict=True):
+        named_of_joint.setdefault(joint, []).append(name)
     parts = []
-    for joint, numbers in rows_of_joint.items():
-        *before, last = numbers
-        subject = f"row {last} alone determines"
+    for joint, named in named_of_joint.items():
+        *before, last = named
+        subject = f"{thing} {last} alone determines"
         if before:
-            subject = f"rows {', '.join(before)} and {last} alone determine"
+            subject = f"{thing}s {', '.join(before)} and {last} alone determine"
         parts.append(f"{subject} the errors of joint '{joint}'")
     text = "; ".join(parts)
+    whose = f"{thing} {names[0]}" if len(rows) == 1 else "them"
     return {
         "sole": text[0].upper() + text[1:],
-        "whose": f"row {rows[0]}" if len(rows) == 1 else "them",
-        "those": "this joint" if len(rows_of_joint) == 1 else "these joints",
+        "again": f"{measure} {whose} again",
+        "those": "this joint" if len(named_of_joint) == 1 else "these joints",
     }
 
 

@@ -222,6 +222,11 @@ def test_a_result_gives_the_links_and_refuses_others():
     assert load("panda", cell, result=c).joint_names == NAMES
     with pytest.raises(CalibError, match=r"result for --tip 'a=panda_link8', but 'a=panda_link7'"):
         with_chain_of_result(Cell(tips={"a": "panda_link7"}), c, "result.json")
+    # A new target is on a link that the result has.
+    added = with_chain_of_result(Cell(tips={"c": "panda_link8"}), c, "result.json")
+    assert dict(added.tips) == {**CELL.tips, "c": "panda_link8"}
+    with pytest.raises(CalibError, match="'c=panda_link7' was given"):
+        with_chain_of_result(Cell(tips={"c": "panda_link7"}), c, "result.json")
 
 
 def test_joints_of_a_second_robot_need_its_name(tmp_path):
@@ -299,3 +304,14 @@ def test_a_further_robot_that_no_row_reaches_is_refused():
     unreached = replace(CELL, tips={"a": "panda_link8", "b": "panda_link7"})
     with pytest.raises(ModelError, match=r"--other-robot right: no row reaches"):
         robot_of_cell(read_urdf("panda"), unreached)
+
+
+def test_two_arms_without_links_ask_for_those_of_the_targets_that_the_table_names():
+    measured = [f"arm_{hand}_{k}_joint" for hand in ("left", "right") for k in range(1, 8)]
+    urdf = read_urdf("tiago_dual")
+    sights = [("", "a"), ("t2", "a"), ("", "b")]
+    with pytest.raises(UrdfError, match=r"2 arms.*'a', 'b'.* --tip a=LINK --tip b=LINK\."):
+        robot_of_cell(urdf, Cell(), measured, sights)
+    for few in (None, sights[:2]):
+        with pytest.raises(UrdfError, match="--tip NAME=wrist_left_ft_tool_link"):
+            robot_of_cell(urdf, Cell(), measured, few)

@@ -247,6 +247,15 @@ def test_the_pose_that_alone_moves_a_joint_is_named(ur3, off: float):
     assert named(points_at(ur3, one_moves(ur3), off), ur3) == expected
 
 
+def test_the_picture_of_the_pose_is_named_if_there_is_one(ur3):
+    table, given = points_at(ur3, one_moves(ur3)), Cell()
+    rows, setup = rows_and_setup(ur3, table, given)
+    found = fit(Task(ur3, given, setup, "dh"), rows)
+    images = [f"{k}.png" for k in range(len(rows))]
+    (reason,) = sole_postures(found, np.arange(len(rows)), images)
+    assert reason.values["pictures"] == [f"{ROW}.png"]
+
+
 def test_it_keeps_its_weight_if_it_is_right(ur3):
     table = points_at(ur3, one_moves(ur3))
     rows, setup = rows_and_setup(ur3, table, Cell())

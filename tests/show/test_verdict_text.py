@@ -108,6 +108,17 @@ def test_rows_that_alone_determine_errors_are_told_with_their_joints(rows, joint
     assert advice in text
 
 
+def test_corners_that_alone_determine_errors_are_called_by_their_picture():
+    values = {"rows": [487], "joints": ["head_1_joint"], "pictures": ["head_10.png"]}
+    text = reason_text(Reason.of(Why.SOLE_POSTURE, **values))
+    assert text.startswith("Picture 'head_10.png' alone determines the errors of joint 'head_1")
+    assert "take picture 'head_10.png' again" in text
+    assert "487" not in text
+    # Beside a row that is no corner both are called by their numbers.
+    values = {"rows": [7, 487], "joints": ["a", "a"], "pictures": ["", "head_10.png"]}
+    assert reason_text(Reason.of(Why.SOLE_POSTURE, **values)).startswith("Rows 7 and 487 alone")
+
+
 def test_what_remains_is_told_with_the_figures_of_its_share():
     values = {"before_m": 4.628e-3, "after_m": 4.191e-3, "remains": 0.41}
     free = {"free_before_m": 2.2e-3, "free_after_m": 0.902e-3}

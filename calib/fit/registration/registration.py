@@ -285,8 +285,9 @@ def _check_part(name: str, rows: Rows, part: Mask, unknowns: int, *, points_need
     too_few_points = points_needed and np.all(points[part]) and count < _FEWEST_POINTS
     if numbers < unknowns or too_few_points:
         raise MeasurementError(
-            f"{name} has {count} row{'s' * (count != 1)} with {numbers} numbers for {unknowns} unknowns of frame and "
-            "target. Measure 3 or more poses at each station, or give what is known of it."
+            f"{name} has {count} row{'s' * (count != 1)} to estimate from, with {numbers} numbers for {unknowns} "
+            "unknowns of frame and target. Measure 3 or more poses at each station (beside rows of the set 'estimate' "
+            "those of the set 'validate' do not count), or give what is known of it."
         )
 
 

@@ -333,7 +333,7 @@ def parameters(c: Calibration) -> Table:
         Column("nominal", 11, gap=2),
         Column("value", 11),
         Column("change", 10),
-        Column("95 % +-", 9),
+        Column("95 % ±", 9),
         Column("", left=True),
     )
     return Table("Parameter", columns, rows, on=TERMINAL)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -14,7 +14,7 @@ from calib.cli.notices import say_accepted
 from calib.cli.options import Accept, CellOptions, ColumnChoice, Force, Quiet, RobotFile
 from calib.cli.output_files import check_outputs
 from calib.cli.verb import verb
-from calib.errors import CalibError, VerdictError
+from calib.errors import CalibError, MeasurementError, VerdictError, choices
 
 if TYPE_CHECKING:
     from calib.basics.arrays import Array
@@ -259,6 +259,7 @@ def compensate(
             tip = _only_link(cell.tip, cell.tips)
             hand = chain_of_hand(result, tip, target, _only_link(cell.base, cell.bases))
             nominal = load(robot, with_chain, result=result).rebuilt(None, *hand)
+            _check_hand(program, column_names(Table.read(program), columns), nominal, result)
         else:
             nominal = load(robot, with_chain)
         if result.non_geometric:
@@ -312,6 +313,27 @@ def _only_link(link: str | None, by_name: Mapping[str, str]) -> str | None:
     """Return the link that is given, plainly or by a name; None if none or several are."""
     links = [*by_name.values()] if link is None else [link, *by_name.values()]
     return links[0] if len(links) == 1 else None
+
+
+def _check_hand(
+    program: Path, columns: Collection[str] | None, nominal: Robot, result: Calibration
+) -> None:
+    """Refuse a program with all joints of another hand and not those of the commanded one, by a `MeasurementError`.
+
+    Its columns are by the names that calib uses; None, if these are not known, is not checked.
+    """
+    if columns is None or set(nominal.joint_names) <= set(columns):
+        return
+    setup = result.setup
+    for name, link in zip(setup.targets, setup.target_links, strict=True):
+        for chain in result.nominal.chains:
+            own = result.nominal.rebuilt(None, chain.base, chain.tip).joint_names
+            if chain.tip == link != nominal.tip and set(own) <= set(columns):
+                missing = [joint for joint in nominal.joint_names if joint not in columns]
+                raise MeasurementError(
+                    f"{program}: the program has all joints of the hand '{name}' ('{link}'), and of the hand that "
+                    f"ends at '{nominal.tip}' it lacks {choices(missing, limit=3)}. Did you mean --tip {name}?"
+                )
 
 
 def _with_chain_of(result: Calibration, cell: Cell, path: str) -> Cell:

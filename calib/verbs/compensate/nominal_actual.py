@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from calib.basics.arguments import numbers
 from calib.basics.arrays import Array, Integers, read_only
 from calib.basics.values import Value
-from calib.errors import ModelError, choices
+from calib.errors import ModelError, choices, did_you_mean
 from calib.model.error_model import TIP, ErrorModel, Parameter
 from calib.model.families import Factor, JointState
 from calib.model.joint_errors import axis_twists
@@ -349,10 +349,12 @@ def chain_of_hand(
     found = [chain for chain in result.nominal.chains if chain.tip == link]
     if not found:
         tips = dict.fromkeys(chain.tip for chain in result.nominal.chains)
-        named = "no one hand is named" if link is None else f"none ends at '{link}'"
+        wrong = (
+            "" if link is None else f"none ends at '{link}'{did_you_mean(link, [*links, *tips])}: "
+        )
         raise ModelError(
-            f"The result has several chains, to {choices(tips)}; {named}. Name one by --tip LINK, or by --tip TARGET "
-            f"with one of the targets {choices(links)}."
+            f"The result has several hands, which end at {choices(tips)}: {wrong}choose one with "
+            f"{' or '.join(f'--tip {name}' for name in links)} (or with the link)."
         )
     # Seen from several links, a tip has several chains; the commands are the same in the frame of the first.
     if base is None:
@@ -379,7 +381,13 @@ def _pair_of_chain(
     The chain is that of the nominal robot; if none is given, that of the tool's target.
     """
     setup = result.setup
-    target = _find_name(setup.targets, tool, "target") if isinstance(tool, str) else None
+    target: str | None = None
+    if isinstance(tool, str):
+        # Without a name, the only target on the hand.
+        links = dict(zip(setup.targets, setup.target_links, strict=True))
+        of_hand = [name for name in links if nominal is not None and links[name] == nominal.tip]
+        names = setup.targets if tool or not of_hand else of_hand
+        target = _find_name(names, tool, "target")
     if nominal is None:
         nominal = result.nominal.rebuilt(None, *chain_of_hand(result, None, target))
     whole = result.nominal.rebuilt(nominal.urdf)

@@ -298,12 +298,19 @@ def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
     elif largest == "model" and result.non_geometric is not None and not pair.non_geometric:
         yield "To lower it: use the non-geometric model, without --geometry."
     elif largest == "base" and expected.in_measured_frame is not None:
-        groups = result.setup.groups
-        links = result.setup.frame_links or (pair.nominal.robot.base,) * len(groups)
-        first = groups[links.index(pair.nominal.robot.base)]
-        name = "measured" if len(groups) == 1 else f'"{first}"'
+        groups, ends = result.setup.groups, pair.nominal.robot
+        # Of several chains, a frame on the base of the commands, or else the first one that sees the hand.
+        links = result.setup.frame_links or (ends.base,) * len(groups)
+        bases = [chain.base for chain in result.nominal.chains if chain.tip == ends.tip]
+        link = (
+            ends.base
+            if ends.base in links
+            else next((one for one in links if one in bases), links[0])
+        )
+        name = "measured" if len(groups) == 1 else f'"{groups[links.index(link)]}"'
+        base = "" if link == ends.base else f" --base {link}"
         yield (
-            f"To lower it: give the program in the measurement frame, --poses-in {name} "
+            f"To lower it: give the program in the measurement frame, --poses-in {name}{base} "
             f"({_MM * expected.in_measured_frame:.3f} mm): an estimated frame absorbs whatever displaces the first "
             "joint in the base. Or measure in a frame of known points on the base (--frame known)."
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
 from calib.data.record import BLANK, Record
 from calib.diagnosis.reasons import Reason, Why
-from calib.errors import CalibError, ModelError, choices
+from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.fit.registration.board_ends import with_ends_of
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.registration.rows import Rows
@@ -249,7 +250,8 @@ def evaluate(
         ArgumentError: Robot, measurements or cell are of another type.
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
         ModelError: Where a further robot stands is not known; frames are taken from the earlier result, and the table
-            has a station that it lacks and whose frame is not to be registered; or ``which`` has another name.
+            has a station that it lacks and whose frame is not to be registered; targets are taken from a result of
+            several hands that lacks one of the table's; or ``which`` has another name.
     """
     arm, table, known_cell = inputs_of(robot, measurements, cell)
     check_names("which", which)
@@ -269,6 +271,8 @@ def evaluate(
         known = non_geometric.setup
     rows, setup = rows_and_setup(arm, table, known_cell)
     if known is not None:
+        if "target" in which:
+            _refuse_unknown_targets(table, setup, known_cell, known)
         setup = replace(_with_known(setup, known, which), internals=known.internals)
     if non_geometric is None:
         T_base_tip = arm.poses(rows.joints, rows.samples.chain)
@@ -322,6 +326,28 @@ def _refuse_unknown_mounts(robot: Robot) -> None:
                 f"Where the robot '{name}' stands is not stated, and an evaluation does not estimate it. State it in "
                 f"the cell file, xyz_mm and rpy_deg of [robots.{name}], or give the --calibration that found it."
             )
+
+
+def _refuse_unknown_targets(
+    measurements: Measurements, setup: Setup, cell: Cell, known: Setup
+) -> None:
+    """Refuse targets that a result of several hands lacks, by a `ModelError`: which hand they are on is not known.
+
+    A target whose place, or link among the cell's ``tips``, is given is not refused.
+    """
+    if len(set(known.target_links)) < 2:
+        return
+    source = measurements.source or "Measurements"
+    for name in compress(setup.targets, setup.target_unknown & ~setup.target_given):
+        if name in known.targets or name in cell.tips:
+            continue
+        rows = [k for k, of in enumerate(measurements.targets) if of == name]
+        row = measurements.rows[rows[0]] if rows and measurements.rows else 1
+        raise ModelError(
+            f"{source}, row {row}: the target '{name}' is not one of the result, which has "
+            f"{choices(known.targets)}{did_you_mean(name, known.targets)}. Name the target of each "
+            "row in the column 'target', or give the link of a new one, --tip NAME=LINK."
+        )
 
 
 def registration_rows(measurements: Measurements) -> Mask:

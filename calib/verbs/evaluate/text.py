@@ -202,8 +202,10 @@ def _rows_reasons(a: Acceptance) -> Iterator[str]:
     elif accuracy.rows != "all":
         used = sum(len(pose.rows) for pose in accuracy.poses)
         others = " and the ".join(accuracy.others)
+        left = "the other was" if accuracy.measured - used == 1 else "the others were"
+        are = "is" if used == 1 else "are"
         yield (
-            f"{used} of the {accuracy.measured} rows are evaluated; the others were used for the {others}."
+            f"{used} of the {accuracy.measured} rows {are} evaluated; {left} used for the {others}."
         )
     if accuracy.registered:
         scaled = "no degree of freedom remains"

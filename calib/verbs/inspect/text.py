@@ -35,7 +35,7 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
         forecast: The expected error of a fit to the poses of a table; None without a table.
 
     Returns:
-        The chain, its DH rows, the parameters, and the forecast, in lines of 100 columns.
+        The chains, the DH rows of a single one, the parameters, and the forecast, in lines of 100 columns.
     """
     expected = ""
     if forecast is not None:
@@ -57,14 +57,16 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
             )
         else:
             expected += " calib plan finds better poses."
-    blocks = (*_chain(robot), *_dh(robot), *_parameters(inspection), Paragraph(expected))
+    # DH rows are of one chain.
+    dh = () if robot.branches else _dh(robot)
+    blocks = (*_chain(robot), *dh, *_parameters(inspection), Paragraph(expected))
     return blocks_text(blocks)
 
 
 def _chain(robot: Robot) -> Iterator[Block]:
-    """Tabulate the joints with their limits, then word joints without a column, and a base that moves."""
+    """Tabulate the joints of all chains with their limits, then word joints without a column, and bases that move."""
     rows = []
-    for joint in robot.joints:
+    for joint in robot.all_joints:
         axis = " ".join(f"{v + 0.0:.4g}" for v in joint.axis)
         limits = "none"
         if joint.lower is not None and joint.upper is not None:
@@ -77,39 +79,42 @@ def _chain(robot: Robot) -> Iterator[Block]:
         name_column("axis", 23),
         name_column("limits"),
     )
-    title = f"Robot '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}"
+    chains = listed([f"{chain.base} to {chain.tip}" for chain in robot.chains])
+    title = f"Robot '{robot.name}' ({robot.urdf.source}), {'chains' if robot.branches else 'chain'} {chains}"
     yield Table(title, columns, rows, title_above=True, indent="  ")
 
-    sentences = []
-    all_at_zero = np.zeros(len(robot.inputs))
-    offsets = robot.chain_values(all_at_zero)[0]
-    for joint, factors, offset in zip(robot.joints, robot.mimic_matrix, offsets, strict=True):
-        # What is added to the measured joints, times their factors (m,).
-        factor, unit = joint_unit(prismatic=joint.type == "prismatic")
-        value = f"{factor * float(offset):g} {unit}"
-        if not np.any(factors):
-            sentences.append(f"'{joint.name}' is held at {value}.")
-            continue
-        largest = int(np.argmax(np.abs(factors)))
-        driver = robot.inputs[largest].name
-        if driver != joint.name:
-            added = "" if offset == 0 else f", plus {value}"
-            sentences.append(
-                f"'{joint.name}' follows '{driver}', times {factors[largest]:g}{added}."
-            )
+    # A joint that several chains pass is worded once.
+    sentences = list(dict.fromkeys(one for chain in robot.chains for one in _followers(chain)))
     coupling = coupling_sentence(robot)
     if coupling:
         sentences.append(coupling)
     of_rows = rows_sentence(robot)
     if of_rows:
-        sentences.append(
-            f"{of_rows}. The rows below are of the same robot, with z along each joint's own axis."
-        )
-    if robot.base_moves:
-        sentences.append(
-            f"Joints move the base '{robot.base}' itself; they are listed from the base outwards."
-        )
+        below = " The rows below are of the same robot, with z along each joint's own axis."
+        sentences.append(f"{of_rows}.{'' if robot.branches else below}")
+    sentences += [
+        f"Joints move the base '{base}' itself; they are listed from the base outwards."
+        for base in dict.fromkeys(chain.base for chain in robot.chains if chain.base_moves)
+    ]
     yield Bullets(sentences, indent="  ", tight=True)
+
+
+def _followers(chain: Robot) -> Iterator[str]:
+    """Yield sentences on the joints of one chain without a column: what they follow, or where they are held."""
+    all_at_zero = np.zeros(len(chain.inputs))
+    offsets = chain.chain_values(all_at_zero)[0]
+    for joint, factors, offset in zip(chain.joints, chain.mimic_matrix, offsets, strict=True):
+        # What is added to the measured joints, times their factors (m,).
+        factor, unit = joint_unit(prismatic=joint.type == "prismatic")
+        value = f"{factor * float(offset):g} {unit}"
+        if not np.any(factors):
+            yield f"'{joint.name}' is held at {value}."
+            continue
+        largest = int(np.argmax(np.abs(factors)))
+        driver = chain.inputs[largest].name
+        if driver != joint.name:
+            added = "" if offset == 0 else f", plus {value}"
+            yield f"'{joint.name}' follows '{driver}', times {factors[largest]:g}{added}."
 
 
 def _dh(robot: Robot) -> Iterator[Block]:

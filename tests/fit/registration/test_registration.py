@@ -181,10 +181,10 @@ def test_the_right_robot_is_registered_exactly(make_scene, join, case):
 @pytest.mark.parametrize(
     ("counts", "message"),
     [
-        ([2], "2 rows with 6 numbers for 9 unknowns"),
-        ([2, 2], "4 rows with 12 numbers for 15 unknowns"),
+        ([2], "2 rows to estimate from, with 6 numbers for 9 unknowns"),
+        ([2, 2], "4 rows to estimate from, with 12 numbers for 15 unknowns"),
         # Enough numbers, but two points leave the rotation about the line through them.
-        ([8, 2], "2 rows with 6 numbers for 6 unknowns"),
+        ([8, 2], "2 rows to estimate from, with 6 numbers for 6 unknowns"),
     ],
 )
 def test_fewer_numbers_than_unknowns_are_refused(make_scene, join, counts, message):

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.data.cell import Cell
-from calib.errors import ModelError, UrdfError
+from calib.errors import MeasurementError, ModelError, UrdfError
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
+from calib.verbs.compensate.command import _check_hand
 from calib.verbs.compensate.compensate import compensate
 from calib.verbs.compensate.expected import expected_errors
 from calib.verbs.compensate.nominal_actual import chain_of_hand, pair_of
 from calib.verbs.compensate.robot_program import Program
+from calib.verbs.compensate.text import text
 from calib.verbs.simulate.scenario import Scenario, simulate
 from tests.two_handed import JOINTS, fitted
 
@@ -26,7 +29,9 @@ def test_a_hand_is_named_by_its_link_its_target_or_the_tool():
     assert chain_of_hand(c, "b", None) == right
     assert chain_of_hand(c, None, "b") == right
     for hand in (None, "c", "panda_link4"):
-        with pytest.raises(ModelError, match="several chains, to 'panda_link8', 'right/panda"):
+        with pytest.raises(
+            ModelError, match=r"several hands, .*'panda_link8', 'right/panda.*--tip a or --tip b"
+        ):
             chain_of_hand(c, hand, None)
 
 
@@ -46,6 +51,26 @@ def test_a_tool_on_the_other_hand_is_refused():
     left = c.nominal.rebuilt(None, "panda_link0", "panda_link8")
     with pytest.raises(ModelError, match="'b' is on 'right/panda_link8', but the chain ends at"):
         pair_of(c, left, tool="b")
+
+
+def test_the_only_target_of_the_named_hand_is_the_tool_without_its_name():
+    c = fitted()
+    right = c.nominal.rebuilt(None, *chain_of_hand(c, "b", None))
+    assert pair_of(c, right, tool="").target == "b"
+    with pytest.raises(ModelError, match="it has 'a', 'b'"):
+        pair_of(c, tool="")
+
+
+def test_a_program_of_the_other_hand_is_refused():
+    c = fitted()
+    right = c.nominal.rebuilt(None, *chain_of_hand(c, "b", None))
+    file = Path("program.csv")
+    with pytest.raises(MeasurementError, match=r"'a' .*'right/panda_link8' .*--tip a\?"):
+        _check_hand(file, {*JOINTS, "x"}, right, c)
+    # Joints of both hands, poses alone, and a joint that is missing of the only hand there is are other matters.
+    both = {*JOINTS, *right.joint_names}
+    for columns in (both, {"x", "y", "z"}, set(right.joint_names[1:]), None):
+        _check_hand(file, columns, right, c)
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +160,16 @@ def test_a_base_is_honoured_if_all_joints_from_it_were_calibrated():
         chain_of_hand(c, "b", None, "panda_leftfinger")
     with pytest.raises(UrdfError, match="'nolink'"):
         chain_of_hand(c, "b", None, "nolink")
+
+
+def test_from_a_base_without_a_frame_the_first_frame_that_sees_the_hand_is_advised():
+    c = fitted()
+    q = np.array([[0.3, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4], [0.1, 0.4, -0.3, -1.2, 0.6, 1.1, -0.4]])
+    for base, said in (("panda_link0", ""), ("right/panda_link0", " --base panda_link0")):
+        nominal = c.nominal.rebuilt(None, *chain_of_hand(c, "b", None, base))
+        found = compensate(c, Program.of_joints(q), nominal=nominal, tool="b", accept=True)
+        assert found.expected is not None
+        squares = dict.fromkeys(found.expected.contributions, 1e-8) | {"base": 1e-6}
+        expected = replace(found.expected, contributions=squares, in_measured_frame=1.23e-4)
+        words = " ".join(text(replace(found, expected=expected), "result.json", None).split())
+        assert f'--poses-in "{c.setup.groups[0]}"{said} (0.123 mm)' in words

@@ -69,3 +69,22 @@ def test_a_clasp_is_evaluated_without_a_result():
     p = robot.poses(q)[:, :3, 3]
     away = np.linalg.norm(p - p.mean(axis=0), axis=1)
     np.testing.assert_allclose(np.linalg.norm(found.residual[:, :3], axis=1), away, atol=1e-6)
+
+
+def test_a_target_that_a_result_of_several_hands_lacks_is_refused():
+    """It would be registered anew, on whichever hand is the first."""
+    c = fitted()
+    m, cell = c.fit.measurements, c.setup.in_cell(c.fit.cell)
+    every = np.nan_to_num(
+        m.joints
+    )  # the hands' joints in all rows, as a robot of two arms reports them
+    names = tuple("right" if t == "b" else t for t in m.targets)
+    mistyped = replace(m, joints=every, without_joint=None, targets=names)
+    row = m.rows[m.targets.index("b")]
+    with pytest.raises(ModelError, match=rf"row {row}: the target 'right' .* has 'a', 'b'"):
+        evaluate(c.robot, mistyped, cell, known=c.setup)
+    # On a link that is named it is a new one, and is registered.
+    named = replace(cell, tips={**cell.tips, "right": "right/panda_link8"})
+    found = evaluate(c.robot, mistyped, named, known=c.setup)
+    assert found.registered == ("target",)
+    assert np.linalg.norm(found.residual, axis=1).max() < 1e-3

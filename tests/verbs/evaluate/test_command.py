@@ -145,6 +145,11 @@ def write(path: Path, rows: list[list[Any]], ends: str = "\n") -> Path:
         (range(30), 3, "they can fail, but not pass. Measure fresh ones."),
         (range(34), 3, "was fitted to 30 of the 34 rows, and the others are of fewer than 5 poses"),
         (range(35), 0, "5 of the 35 rows are evaluated; the others were used for the calibration."),
+        (
+            range(29, 35),
+            0,
+            "5 of the 6 rows are evaluated; the other was used for the calibration.",
+        ),
         (range(30, 35), 0, "5 of 5 poses are within"),
     ],
 )

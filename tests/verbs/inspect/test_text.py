@@ -91,3 +91,28 @@ def test_coupled_readings_are_told(ur3: Robot):
     said = " ".join(inspection_text(robot, inspect_robot(robot, Cell(model="zeros"), None)).split())
     assert "'elbow_joint' is at its reading plus that of 'shoulder_lift_joint'." in said
     assert "follows" not in said
+
+
+def test_the_joints_of_all_chains_are_listed_without_dh_rows():
+    tips = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
+    cell = Cell(estimate_frame=True, tips=tips)
+    robot = Robot.load("tiago_dual", base="base_footprint", tip=tips["left"])
+    both = Robot.from_urdf(
+        robot.urdf, robot.base, robot.tip, branches=[("base_footprint", tips["right"])]
+    )
+    lines = inspection_text(both, inspect_robot(both, cell, None)).splitlines()
+    assert " ".join(lines[:2]).count("base_footprint to ") == 2
+    names = [line.split()[0] for line in lines if " revolute " in line or " prismatic " in line]
+    arms = [f"arm_{hand}_{k}_joint" for hand in ("left", "right") for k in range(1, 8)]
+    assert names == ["torso_lift_joint", *arms]
+    assert not any(line.startswith("Standard DH rows") for line in lines)
+    held = Robot.from_urdf(
+        robot.urdf,
+        robot.base,
+        robot.tip,
+        branches=[("base_footprint", tips["right"])],
+        held={"torso_lift_joint": 0.1, "arm_right_2_joint": 0.2},
+    )
+    text = inspection_text(held, inspect_robot(held, cell, None))
+    assert text.count("'torso_lift_joint' is held at 100 mm.") == 1
+    assert "'arm_right_2_joint' is held at 11.4592 deg." in text
