@@ -158,13 +158,21 @@ class Plan(Value):
     def places(self, q: Array) -> Array:
         """Predict the position of each target in the robot's base, by the nominal robot.
 
+        Each target is on the tip of its own chain. One that is seen from other links only is in the first of these.
+
         Args:
             q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
             Shape (N, k, 3), [m], in the order of ``targets``.
         """
-        by_target = [(self.robot.poses(q) @ T)[:, :3, 3] for T in self.T_tip_target]
+        chains = self.robot.chains
+        by_target = []
+        for t, T in enumerate(self.T_tip_target):
+            seen_through = [chains[view.chain] for view in self.views if t in view.targets]
+            from_base = [chain for chain in seen_through if chain.base == self.robot.base]
+            chain = (*from_base, *seen_through)[0]
+            by_target.append((chain.poses(q) @ T)[:, :3, 3])
         return np.stack(by_target, axis=1)
 
     @property

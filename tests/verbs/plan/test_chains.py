@@ -141,6 +141,20 @@ def test_each_hand_is_measured_where_the_tracker_reaches_it():
     assert f"targets: a at {count} poses" in text
 
 
+def test_each_hand_has_a_place_of_its_own_in_the_base():
+    """By the pose of each tip in the URDF's root, and as expected in a frame at the root."""
+    found = planned()
+    places = found.places(found.joints)
+    assert places.shape == (len(found.joints), 2, 3)
+    for k, (chain, name) in enumerate(zip(pandas().chains, ("a", "b"), strict=True)):
+        point = np.append(TWO_PANDAS.targets[name], 1.0)
+        np.testing.assert_allclose(
+            places[:, k], (chain.poses(found.joints) @ point)[:, :3], atol=1e-12
+        )
+    apart = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
+    assert apart.min() > 0.05
+
+
 def test_the_table_says_which_hand_and_is_read_again(tmp_path: Path):
     found = planned()
     path = write_plan(found, tmp_path / "plan.csv")
