@@ -97,8 +97,8 @@ def _check_one_arm(urdf: Urdf, tips: Mapping[str, frozenset[str]]) -> None:
     if len(apart) > 1:
         several = " ".join(f"--tip NAME={link}" for link in apart)
         raise UrdfError(
-            f"{urdf.source}: the table has the joints of {len(apart)} arms, which end at {choices(apart)}. Name the "
-            f"one that carried the target, --tip {apart[0]}; or each, with its name in the column 'target': {several}."
+            f"{urdf.source}: the joints of {len(apart)} arms are measured, which end at {choices(apart)}. Name the one "
+            f"that carries the target, --tip {apart[0]}; or each, with its name in the column 'target': {several}."
         )
 
 
