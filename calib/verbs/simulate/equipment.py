@@ -92,7 +92,7 @@ def draw_equipment(
     Raises:
         CalibError: A board is a body of tags.
     """
-    # One without a name is moved from station to station, or from target to target.
+    # One without a name is moved from station to station, or from target to target, as the fit takes it.
     of_groups = [name if name in cell.cameras else "" for name in groups]
     of_targets = [name if name in cell.boards else "" for name in targets]
     random = stream(seed, "camera")

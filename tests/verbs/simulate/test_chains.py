@@ -22,7 +22,7 @@ from calib.result.calibrate import calibrate
 from calib.robot.urdf import read_urdf
 from calib.verbs.simulate.picture_files import write_pictures
 from calib.verbs.simulate.scenario import Scenario, simulate, with_robots_placed
-from calib.verbs.simulate.text import simulated_text
+from calib.verbs.simulate.text import shown_twice, simulated_text
 from calib.verbs.simulate.truth_file import write_truth
 
 TWO_PANDAS = Cell(
@@ -224,6 +224,22 @@ def test_a_board_that_comes_into_view_slanted_or_cut_or_tiny_is_not_used(distanc
     rows = moved.measure(q).measurements
     first = [image == "wrist_01.png" for image in rows.images]
     assert any(first) == is_used
+
+
+def test_one_print_that_a_picture_shows_twice_is_said():
+    """Two boards on one flange, of one description or of one each."""
+    cell = Cell(
+        kind="pixel",
+        bases={"wall": "panda_link0"},
+        tips=dict.fromkeys(("left", "right"), "panda_link8"),
+        cameras={"wall": Camera(width=1280, height=720)},
+        boards={"": BOARD},
+    )
+    made = simulate(Scenario("panda", cell), 8, 0, seed=1)
+    assert shown_twice(made.pictures) == (0, 1)
+    assert "--board left=left.toml" in simulated_text(Scenario("panda", cell), made)
+    scenario = Scenario("panda", replace(cell, boards={"left": BOARD, "right": BOARD}))
+    assert shown_twice(simulate(scenario, 8, 0, seed=1).pictures) == ()
 
 
 def test_the_truth_file_names_camera_and_board_of_each_picture(pictures, tmp_path: Path):
