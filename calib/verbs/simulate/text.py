@@ -205,11 +205,11 @@ def _picture_facts(
             )
     alike = shown_twice(pictures)
     if alike:
-        names = [truth.targets[t] for t in alike]
-        files = " ".join(f"--board {name}={name}.toml" for name in names)
+        twice = [truth.targets[t] for t in alike]
+        files = " ".join(f"--board {name}={name}.toml" for name in twice)
         yield (
             "Same board twice",
-            f"{' and '.join(names)} are in one picture with one description, as if one print were in several places; "
+            f"{' and '.join(twice)} are in one picture with one description, as if one print were in several places; "
             f"'calib detect' cannot tell them apart. Describe boards with different markers: {files}",
         )
     yield from error_lines(truth, pictures.q)
