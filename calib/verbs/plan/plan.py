@@ -20,7 +20,7 @@ from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
 from calib.data.cell_chains import Sight
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
-from calib.errors import CalibError, ModelError
+from calib.errors import CalibError, ModelError, choices
 from calib.instruments.instrument import Condition, Instrument, Sightline
 from calib.numerics.moves import last_moves
 from calib.robot.robot import Robot
@@ -304,11 +304,16 @@ def plan(
         wanted = -(-request.candidates // len(views))
         every = [*_region_condition(sensitivity, region), *of_view, *free]
         draws = (ranges, every, wanted, request.seed + v, _stage(progress, "candidates"))
-        if view.instrument.VIEWPOINT_NUMBERS:
-            (sightline,) = sensitivity.sightlines_of(view)
-            pools.append(draw_towards(view.instrument, sightline, *draws))
-        else:
-            pools.append(draw(arm, *draws))
+        try:
+            if view.instrument.VIEWPOINT_NUMBERS:
+                (sightline,) = sensitivity.sightlines_of(view)
+                pools.append(draw_towards(view.instrument, sightline, *draws))
+            else:
+                pools.append(draw(arm, *draws))
+        except ModelError as error:
+            if not several:
+                raise
+            raise ModelError(f"{_words_of(sensitivity, view)}: {error}") from error
     pool = pools[0]
     if several:
         both = pool.q[:0]
@@ -387,6 +392,17 @@ def plan(
         taken_seen=sensitivity.of_sights(taken_seen),
         views=views,
     )
+
+
+def _words_of(sensitivity: Sensitivity, view: View) -> str:
+    """Word what a view measures: "board 'left' before camera 'head'", "target 'left', on 'hand'"."""
+    setup, chain = sensitivity.setup, sensitivity.kinematics.robot.chains[view.chain]
+    targets = choices([setup.targets[t] for t in view.targets])
+    group = setup.groups[view.frame]
+    if view.instrument.VIEWPOINT_NUMBERS:
+        return f"board {targets} before camera '{group or chain.base}'"
+    by = f" seen from '{group}'" if group else ""
+    return f"target {targets} on '{chain.tip}'{by}"
 
 
 def _seen_already(

@@ -104,7 +104,7 @@ def draw_equipment(
         if board.pattern == BODY:
             raise CalibError(
                 f"The board '{board.name}' is a body of tags, whose far tags a camera does not see; pictures are "
-                "simulated of flat boards. Give one of its size."
+                "simulated of flat boards. Give a flat board of about that size."
             )
     prints = {name: draw_print(board, random) for name, board in boards.items()}
     return Equipment(

@@ -205,7 +205,7 @@ def test_a_collision_of_two_arms_and_what_they_carry_is_found():
         CollisionCheck(),
     )
     names = {name for pair in model.pairs for name in pair}
-    assert {"a and its holder", "b and its holder"} <= names
+    assert {f"the target '{name}' with its holder" for name in "ab"} <= names
     assert ("panda_link7", "right/panda_link7") in model.pairs
     down = np.array([0.0, 1.2, 0.0, -0.6, 0.0, 1.8, 0.0])
     away = np.array([2.5, 0.0, 0.0, -1.5, 0.0, 1.5, 0.0])
@@ -220,6 +220,12 @@ def test_what_cannot_be_planned_for_is_refused():
     two = replace(TWO_PANDAS, bases={"t1": "panda_link0", "t2": "panda_link0"}, estimate_frame=True)
     with pytest.raises(ModelError, match="'t1', 't2'"):
         plan("panda", two, PlanRequest(count=12))
+
+
+def test_the_hand_that_is_never_measured_is_named():
+    far = replace(TWO_PANDAS, tracker=Tracker([0.5, 2.5, 0.8], nearest=60.0, farthest=80.0))
+    with pytest.raises(ModelError, match="target 'a' on 'panda_link8': None of"):
+        plan(pandas(), far, PlanRequest(count=12, validation=2, candidates=50), collisions=None)
 
 
 @pytest.mark.slow
