@@ -16,7 +16,7 @@ from calib.data.columns import WORD_COLUMNS, name_columns
 from calib.data.forms.column_options import ColumnsInput, column_options
 from calib.data.stops import is_stop, stop_links
 from calib.errors import ModelError, UrdfError, choices, did_you_mean
-from calib.robot.default_tip import SeveralArmsError
+from calib.robot.default_tip import SeveralArmsError, farthest_link
 from calib.robot.joined_urdf import Part, joined_urdf
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
@@ -170,6 +170,18 @@ def check_links_named(cell: Cell, sights: Iterable[Sight], source: str) -> None:
                     f"{source}: {option} {name}={link} names '{name}', but the {has}. Give {option} NAME=LINK for the "
                     f"names of that column, or {option} LINK for all rows."
                 )
+
+
+def check_arm_is_named(robot: Robot, cell: Cell) -> None:
+    """Refuse the default tip if other arms end as far from the base, by a `UrdfError` that says what to type.
+
+    Args:
+        robot: The robot of the cell, whose joints are all to be measured.
+        cell: Says which link the targets are on, or does not.
+    """
+    if cell.tip is None and not cell.tips:
+        every_joint = [joint.name for joint in robot.urdf.joints]
+        farthest_link(robot.urdf, robot.base, every_joint, cell.held)
 
 
 def refuse_several_chains(cell: Cell, what: str) -> None:

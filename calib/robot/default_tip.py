@@ -39,7 +39,7 @@ class SeveralArmsError(UrdfError):
         """Word what to type, of a URDF by the ends of its arms and by the targets that the table names, if known."""
         self.source, self.tips = source, tuple(tips)
         ends = (
-            f"{source}: the table has the joints of {len(tips)} arms, which end at {choices(tips)}"
+            f"{source}: the joints of {len(tips)} arms are measured, which end at {choices(tips)}"
         )
         if len(targets) > 1:
             named = " ".join(f"--tip {target}=LINK" for target in targets)
@@ -47,7 +47,7 @@ class SeveralArmsError(UrdfError):
         else:
             each = " ".join(f"--tip NAME={link}" for link in tips)
             fix = (
-                f". Name the one that carried the target, --tip {tips[0]}; or each, with its name in the column "
+                f". Name the one that carries the target, --tip {tips[0]}; or each, with its name in the column "
                 f"'target': {each}."
             )
         super().__init__(ends + fix)

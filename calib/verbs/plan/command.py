@@ -267,6 +267,7 @@ def plan(
 ) -> None:
     """Load robot and cell, whose boxes are the obstacles, plan the poses, write the files named, and print the plan."""
     from calib.basics.tables import Table
+    from calib.data.cell_chains import check_arm_is_named
     from calib.data.columns import column_names
     from calib.result.calibration_file import write_table
     from calib.verbs.plan.plan import plan as plan_poses, refuse_region
@@ -281,6 +282,8 @@ def plan(
     # Without a tip the chain is that of the joints in the table of poses already measured.
     joints = None if poses.taken is None else column_names(Table.read(poses.taken))
     arm = load(robot, cell, joints)
+    if joints is None:
+        check_arm_is_named(arm, cell)
     request = poses.request(arm, images.limits())
     views, _, _ = views_of(arm, cell, request.sight)
     instrument = views[0].instrument

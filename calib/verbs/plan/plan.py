@@ -20,7 +20,7 @@ from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
 from calib.data.cell_chains import Sight
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
-from calib.errors import CalibError, ModelError
+from calib.errors import CalibError, ModelError, choices
 from calib.instruments.instrument import Condition, Instrument, Sightline
 from calib.numerics.moves import last_moves
 from calib.robot.robot import Robot
@@ -158,13 +158,21 @@ class Plan(Value):
     def places(self, q: Array) -> Array:
         """Predict the position of each target in the robot's base, by the nominal robot.
 
+        Each target is on the tip of its own chain. One that is seen from other links only is in the first of these.
+
         Args:
             q: Joint values of N poses, shape (N, m), [rad] or for sliding joints [m], columns as ``robot.joint_names``.
 
         Returns:
             Shape (N, k, 3), [m], in the order of ``targets``.
         """
-        by_target = [(self.robot.poses(q) @ T)[:, :3, 3] for T in self.T_tip_target]
+        chains = self.robot.chains
+        by_target = []
+        for t, T in enumerate(self.T_tip_target):
+            seen_through = [chains[view.chain] for view in self.views if t in view.targets]
+            from_base = [chain for chain in seen_through if chain.base == self.robot.base]
+            chain = (*from_base, *seen_through)[0]
+            by_target.append((chain.poses(q) @ T)[:, :3, 3])
         return np.stack(by_target, axis=1)
 
     @property
@@ -296,11 +304,16 @@ def plan(
         wanted = -(-request.candidates // len(views))
         every = [*_region_condition(sensitivity, region), *of_view, *free]
         draws = (ranges, every, wanted, request.seed + v, _stage(progress, "candidates"))
-        if view.instrument.VIEWPOINT_NUMBERS:
-            (sightline,) = sensitivity.sightlines_of(view)
-            pools.append(draw_towards(view.instrument, sightline, *draws))
-        else:
-            pools.append(draw(arm, *draws))
+        try:
+            if view.instrument.VIEWPOINT_NUMBERS:
+                (sightline,) = sensitivity.sightlines_of(view)
+                pools.append(draw_towards(view.instrument, sightline, *draws))
+            else:
+                pools.append(draw(arm, *draws))
+        except ModelError as error:
+            if not several:
+                raise
+            raise ModelError(f"{_words_of(sensitivity, view)}: {error}") from error
     pool = pools[0]
     if several:
         both = pool.q[:0]
@@ -379,6 +392,17 @@ def plan(
         taken_seen=sensitivity.of_sights(taken_seen),
         views=views,
     )
+
+
+def _words_of(sensitivity: Sensitivity, view: View) -> str:
+    """Word what a view measures: "board 'left' before camera 'head'", "target 'left', on 'hand'"."""
+    setup, chain = sensitivity.setup, sensitivity.kinematics.robot.chains[view.chain]
+    targets = choices([setup.targets[t] for t in view.targets])
+    group = setup.groups[view.frame]
+    if view.instrument.VIEWPOINT_NUMBERS:
+        return f"board {targets} before camera '{group or chain.base}'"
+    by = f" seen from '{group}'" if group else ""
+    return f"target {targets} on '{chain.tip}'{by}"
 
 
 def _seen_already(

@@ -155,6 +155,7 @@ def _(instrument: CameraInstrument, plan: Plan) -> Plan:
         joints=read_only(joints),
         taken=read_only(taken),
         T_tip_target=read_only(carried[None]),
+        views=(replace(plan.views[0], targets=(0,), chain=0),),
     )
 
 

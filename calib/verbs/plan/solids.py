@@ -18,6 +18,7 @@ from pinocchio import hppfcl
 
 from calib.basics.arrays import Array
 from calib.data.cell import Box
+from calib.data.columns import DEFAULT_TARGET
 from calib.errors import UrdfError
 from calib.robot.full_model import full_model, link_frame
 from calib.robot.kernel import turns_to
@@ -109,7 +110,8 @@ def target_solids(
         end = np.array([place], dtype=np.float64)
         T_tip_rod, half_length = rods(np.zeros((1, 3)), end)
         capsule = hppfcl.Capsule(holder_radius, 2.0 * float(half_length[0]))
-        owner = f"{name} and its holder"
+        who = "the target" if name == DEFAULT_TARGET else f"the target '{name}'"
+        owner = f"{who} with its holder"
         solids.append(Solid(owner, "target", robot.tip, T_tip_rod[0], capsule))
     return solids
 

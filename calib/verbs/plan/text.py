@@ -55,7 +55,8 @@ _APPROACHES = {
 
 #: The sentence of each note; {0}, {1} are its values.
 _NOTES: dict[Code, str] = {
-    "generic_target": "No target was given: planned for one at {0} m in the tip (--target).",
+    "generic_target": "No target was given: planned for one at {0} mm in each tip (--target; of several hands each by "
+    "its name in the table [targets_mm] of the cell file).",
     "orientation_noise": "Assumed noise of an orientation: {0} rad about each axis (sigma_angle_deg in the cell).",
     "camera_assumed": "Nothing is known of the camera's intrinsics: planned for a focal length of {0} px and no "
     "distortion.",
@@ -94,7 +95,7 @@ def plan_text(plan: Plan, first_row: int = 1) -> str:
     # Each pose has a row for each target, after that of the pose to come from.
     before = 0 if plan.via is None else 1
     rows = first_rows(plan, first_row)
-    moves = []
+    moves, without_detour = [], []
     for blocked in plan.blocked:
         start = f"row {rows[blocked.start - 1] + before}"
         end = f"row {rows[blocked.end - 1]}"
@@ -104,7 +105,9 @@ def plan_text(plan: Plan, first_row: int = 1) -> str:
                 for pose in (blocked.start, blocked.end)
             )
         move = f"{start if blocked.start else 'the start'} to {end}"
-        if blocked.by is not None:
+        if blocked.by is None:
+            without_detour.append(move)
+        else:
             values = []
             for joint, value in zip(plan.robot.inputs, blocked.by, strict=True):
                 slides = joint.type == "prismatic"
@@ -115,8 +118,8 @@ def plan_text(plan: Plan, first_row: int = 1) -> str:
         moves.append(move)
     if moves:
         notes.append(f"The straight path in joint space collides from {', '.join(moves)}.")
-    if any(blocked.by is None for blocked in plan.blocked):
-        notes.append("Insert an intermediate pose between the rows for which no detour is given.")
+    if without_detour:
+        notes.append(f"No detour was found from {', '.join(without_detour)}: insert a pose there.")
     return paragraphs(_head(plan), _forecasts(plan), [f"Note: {note}" for note in notes])
 
 
@@ -130,6 +133,8 @@ def note_text(note: Note) -> str:
     if note.code == "board_scale":
         scale, rms = map(float, note.values)
         return _NOTES[note.code].format(f"{100 * scale:.2g}", _mm(rms))
+    if note.code == "generic_target":
+        return _NOTES[note.code].format(", ".join(f"{1e3 * float(v):g}" for v in note.values))
     if note.code == "images_checked":
         return _NOTES[note.code].format(_and_with(note.values))
     if note.code == "collisions_checked":
@@ -186,11 +191,12 @@ def _what_is_planned(_instrument: Instrument, plan: Plan) -> str:
     robot, count = plan.robot, plan.request.count
     taken = f" in addition to {len(plan.taken)} measured ones" if len(plan.taken) else ""
     chains = " and ".join(f"{chain.base} to {chain.tip}" for chain in robot.chains)
+    word = "chain" if len(robot.chains) == 1 else "chains"
     at_each = f"targets at each: {', '.join(plan.targets)}"
     if not plan.seen.all():
         at_each = f"targets: {_counts(plan)}"
     return (
-        f"Plan for '{robot.name}' ({robot.urdf.source}), chain {chains}: {count} poses for "
+        f"Plan for '{robot.name}' ({robot.urdf.source}), {word} {chains}: {count} poses for "
         f"calibration{taken}, {plan.request.validation} for validation; {at_each}."
     )
 
@@ -257,11 +263,11 @@ def _(_instrument: CameraInstrument, plan: Plan) -> Iterator[tuple[str, str]]:
 def _forecasts(plan: Plan) -> Iterator[str]:
     """Yield lines on the expected errors: of the plan, of random poses, of those taken, of other numbers of poses."""
     forecast, count, taken = plan.forecast, plan.request.count, len(plan.taken)
-    planned, random, beside = f"these {count} poses", f"{count} random ones", ""
+    planned, random, others = f"these {count} poses", f"{count} random ones", "poses"
     if taken:
-        planned = f"those taken and these, {taken + count}"
+        planned = f"the {taken} taken and these {count}"
         random += " instead of these"
-        beside = f" beside the {taken} taken"
+        others = f"more poses after the {taken} taken"
     rows: list[tuple[str, Forecast | None]] = [
         (planned, forecast),
         (random, plan.at_random),
@@ -269,9 +275,9 @@ def _forecasts(plan: Plan) -> Iterator[str]:
     ]
     for number, at_number in plan.ladder:
         if number != count:
-            rows.append((f"{number} poses{beside}", at_number))
+            rows.append((f"{number} {others}", at_number))
     columns = [
-        name_column("", 34),
+        name_column("", 36),
         Column("rms", 10),
         Column("of 90 % of calibrations", 27),
         Column("worst place", 13),

@@ -90,6 +90,7 @@ def simulate(
 
     It raises `CalibError` if neither a table nor a folder of pictures is named, or a file may not be written.
     """
+    from calib.data.cell_chains import check_arm_is_named
     from calib.verbs.plan.plan_file import read_poses
     from calib.verbs.simulate.picture_files import write_pictures
     from calib.verbs.simulate.scenario import simulate as simulate_rows, with_robots_placed
@@ -112,6 +113,7 @@ def simulate(
     check_outputs(files, inputs, force=force)
     cell = with_robots_placed(cell_options.cell())
     arm = load(robot, cell)
+    check_arm_is_named(arm, cell)
     scenario = read_scenario(arm, cell, cell_options.file, errors)
     if images is not None and not scenario.kind.is_image:
         raise CalibError(

@@ -92,7 +92,7 @@ def draw_equipment(
     Raises:
         CalibError: A board is a body of tags.
     """
-    # One without a name is moved from station to station, or from target to target.
+    # One without a name is moved from station to station, or from target to target, as the fit takes it.
     of_groups = [name if name in cell.cameras else "" for name in groups]
     of_targets = [name if name in cell.boards else "" for name in targets]
     random = stream(seed, "camera")
@@ -104,7 +104,7 @@ def draw_equipment(
         if board.pattern == BODY:
             raise CalibError(
                 f"The board '{board.name}' is a body of tags, whose far tags a camera does not see; pictures are "
-                "simulated of flat boards. Give one of its size."
+                "simulated of flat boards. Give a flat board of about that size."
             )
     prints = {name: draw_print(board, random) for name, board in boards.items()}
     return Equipment(

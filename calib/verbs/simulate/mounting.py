@@ -95,7 +95,7 @@ def draw_scene(
     """
     rng = np.random.default_rng(seed)
     best = None
-    most = 0.0
+    most = -1.0  # a single view, between which no joint moves, is worth 0
     centre = printed.board.centre
     moves_camera, moves_board = moving_sides(robot)
     for _ in range(_PLACES):
@@ -116,7 +116,9 @@ def draw_scene(
         q = try_views(scene, _TRIES, rng, framing)
         # Views are worth their number, times how far the joints move between them. By the roots of the standard
         # deviations, a joint that hardly moves still counts beside one that turns all the way round.
-        worth = float(len(q) * np.mean(np.sqrt(q.std(axis=0)))) if len(q) else 0.0
+        if not len(q):
+            continue
+        worth = float(len(q) * np.mean(np.sqrt(q.std(axis=0))))
         if worth > most:
             best, most = scene, worth
     if best is None:

@@ -31,16 +31,22 @@ from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
 from calib.data.surroundings import TrackerNoise
 from calib.errors import CalibError
+from calib.instruments.camera import LARGEST_TILT, board_tilts
 from calib.verbs.simulate.disturbances import Outliers
 from calib.verbs.simulate.equipment import Equipment
 from calib.verbs.simulate.random_streams import stream
 from calib.verbs.simulate.truth import Truth
+from calib.verbs.simulate.views import filled_shares
 
 #: Displacement of an outlier, a corner that was mistaken for another edge nearby [px].
 OUTLIER = 5.0
 
 #: Corners that are found: not at the very edge of the picture, nor on a board that is seen from its side.
 SIGHT = Sight(margin=5.0, tilt=float(np.deg2rad(70.0)))
+
+#: Least and largest share of the image's width or height that a board of several spans, else it is not used. The board
+#: before which a camera is placed has 0.2 to 0.8; one beyond 1 is cut by the image, and too near to be sharp.
+FILLED = (0.1, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,7 +366,11 @@ class CameraReader(Reader):
             printed = equipment.prints[t]
             pixels, is_seen = corner_pixels(equipment.cameras[f], printed.corners, T[views], SIGHT)
             if len(sights) > 1:  # a board that comes into view by chance
-                is_seen &= _is_detected(printed.board, is_seen)[:, None]
+                is_used = _is_detected(printed.board, is_seen)
+                is_used &= board_tilts(printed.board, T[views]) <= LARGEST_TILT
+                fills = filled_shares(equipment.cameras[f], pixels)  # NaN: partly behind it
+                is_used &= (fills >= FILLED[0]) & (fills <= FILLED[1])
+                is_seen &= is_used[:, None]
             view, corner = np.nonzero(is_seen)
             # Drawn for all corners, seen or not, so that the noise of one does not depend on which others are seen.
             found = pixels + self.sigma * random.standard_normal(pixels.shape)

@@ -102,7 +102,7 @@ def error_lines(truth: Truth, q: Array) -> Iterator[tuple[str, str]]:
         text = f"{_mm(rms(distances))} mm rms, {_mm(distances.max())} mm at most"
         who = "of the nominal robot"
         if len(truth.nominal.chains) > 1:
-            who = "of the nominal one"
+            who = "nominal robot off by"
             ends = truth.nominal.chains[chain]
             text = f"{ends.base} to {ends.tip}: {text}"
         yield f"  {who}", text
@@ -203,6 +203,15 @@ def _picture_facts(
                 f"tilted by {tilts.min():.0f} to {tilts.max():.0f} deg, spans {fills.min():.0f} to "
                 f"{fills.max():.0f} % of the image",
             )
+    alike = shown_twice(pictures)
+    if alike:
+        twice = [truth.targets[t] for t in alike]
+        files = " ".join(f"--board {name}={name}.toml" for name in twice)
+        yield (
+            "Same board twice",
+            f"{' and '.join(twice)} are in one picture with one description, as if one print were in several places; "
+            f"'calib detect' cannot tell them apart. Describe boards with different markers: {files}",
+        )
     yield from error_lines(truth, pictures.q)
 
     for f, (camera, stated) in enumerate(
@@ -240,6 +249,21 @@ def _picture_facts(
     yield "Encoder steps", encoder_steps(scenario)
     if simulated.outlier_rows:
         yield f"Outliers of {OUTLIER:g} px", f"rows {row_ranges(simulated.outlier_rows)}"
+
+
+def shown_twice(pictures: Pictures) -> tuple[int, ...]:
+    """Return the numbers of the boards that are in one picture with another of the same print, in rising order."""
+    prints = pictures.equipment.prints
+    in_image: dict[str, list[int]] = {}
+    for k in np.unique(pictures.picture).tolist():
+        in_image.setdefault(pictures.images[k], []).append(int(pictures.board[k]))
+    alike = {
+        t
+        for boards in in_image.values()
+        for t in boards
+        if sum(prints[other] is prints[t] for other in boards) > 1
+    }
+    return tuple(sorted(alike))
 
 
 def encoder_steps(scenario: Scenario) -> str:

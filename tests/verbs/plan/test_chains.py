@@ -141,6 +141,20 @@ def test_each_hand_is_measured_where_the_tracker_reaches_it():
     assert f"targets: a at {count} poses" in text
 
 
+def test_each_hand_has_a_place_of_its_own_in_the_base():
+    """By the pose of each tip in the URDF's root, and as expected in a frame at the root."""
+    found = planned()
+    places = found.places(found.joints)
+    assert places.shape == (len(found.joints), 2, 3)
+    for k, (chain, name) in enumerate(zip(pandas().chains, ("a", "b"), strict=True)):
+        point = np.append(TWO_PANDAS.targets[name], 1.0)
+        np.testing.assert_allclose(
+            places[:, k], (chain.poses(found.joints) @ point)[:, :3], atol=1e-12
+        )
+    apart = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
+    assert apart.min() > 0.05
+
+
 def test_the_table_says_which_hand_and_is_read_again(tmp_path: Path):
     found = planned()
     path = write_plan(found, tmp_path / "plan.csv")
@@ -191,7 +205,7 @@ def test_a_collision_of_two_arms_and_what_they_carry_is_found():
         CollisionCheck(),
     )
     names = {name for pair in model.pairs for name in pair}
-    assert {"a and its holder", "b and its holder"} <= names
+    assert {f"the target '{name}' with its holder" for name in "ab"} <= names
     assert ("panda_link7", "right/panda_link7") in model.pairs
     down = np.array([0.0, 1.2, 0.0, -0.6, 0.0, 1.8, 0.0])
     away = np.array([2.5, 0.0, 0.0, -1.5, 0.0, 1.5, 0.0])
@@ -206,6 +220,12 @@ def test_what_cannot_be_planned_for_is_refused():
     two = replace(TWO_PANDAS, bases={"t1": "panda_link0", "t2": "panda_link0"}, estimate_frame=True)
     with pytest.raises(ModelError, match="'t1', 't2'"):
         plan("panda", two, PlanRequest(count=12))
+
+
+def test_the_hand_that_is_never_measured_is_named():
+    far = replace(TWO_PANDAS, tracker=Tracker([0.5, 2.5, 0.8], nearest=60.0, farthest=80.0))
+    with pytest.raises(ModelError, match="target 'a' on 'panda_link8': None of"):
+        plan(pandas(), far, PlanRequest(count=12, validation=2, candidates=50), collisions=None)
 
 
 @pytest.mark.slow

@@ -203,11 +203,16 @@ def rod_gap(start, end, centre) -> float:
 @settings(deadline=None)
 def test_a_target_and_its_holder_touch_where_their_distance_says_so(q):
     model = held_model()
-    assert {("base", "probe and its holder"), ("upper", "probe and its holder")} <= set(model.pairs)
+    assert {
+        ("base", "the target 'probe' with its holder"),
+        ("upper", "the target 'probe' with its holder"),
+    } <= set(model.pairs)
     # Not with the link that it is mounted on, nor with one that it always touches: the tip is in the forearm's ball.
-    assert ("hand", "probe and its holder") not in model.pairs
+    assert ("hand", "the target 'probe' with its holder") not in model.pairs
     touching = dict(model.notes)["always_touching"]
-    assert [one for one in touching if "holder" in one] == ["fore and probe and its holder"]
+    assert [one for one in touching if "holder" in one] == [
+        "fore and the target 'probe' with its holder"
+    ]
     angle = sum(q)
     tip = (model.robot.poses([q])[0] @ [0, 0, 0, 1])[:2]
     end = tip + 0.6 * np.array([math.cos(angle), math.sin(angle)])

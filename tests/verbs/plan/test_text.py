@@ -41,6 +41,7 @@ def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
     # Rows of a table that adds to another one have its numbers.
     added = " ".join(plan_text(many, first_row=36).split())
     assert "collides from the start to row 36, row 36 to row 40 (via" in added
+    assert "No detour was found from the start to row 36, row 36 to row 37: insert" in added
 
 
 def test_parameters_of_which_none_is_known_by_itself(planned: Plan):
@@ -52,7 +53,7 @@ def test_parameters_of_which_none_is_known_by_itself(planned: Plan):
 
 def test_every_note_is_a_sentence():
     for code in get_args(Code):
-        values = (0.003, 4e-4) if code == "board_scale" else (0.02, "a box")
+        values = VALUES.get(code, (0.02, "a box"))
         text = note_text(Note(code, values))
         assert text.endswith((".", ")."))
         assert "{" not in text

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.boards.board import Board
 from calib.camera.camera import Camera
@@ -21,7 +22,7 @@ from calib.result.calibrate import calibrate
 from calib.robot.urdf import read_urdf
 from calib.verbs.simulate.picture_files import write_pictures
 from calib.verbs.simulate.scenario import Scenario, simulate, with_robots_placed
-from calib.verbs.simulate.text import simulated_text
+from calib.verbs.simulate.text import shown_twice, simulated_text
 from calib.verbs.simulate.truth_file import write_truth
 
 TWO_PANDAS = Cell(
@@ -191,6 +192,54 @@ def test_a_board_that_comes_into_view_is_found_whole_or_not_at_all(pictures):
     counts = np.bincount(made.pictures.picture, minlength=len(made.pictures.images))
     assert set(counts) == {0, 12}
     assert np.all(counts[made.pictures.picture] == 12)
+
+
+@pytest.mark.parametrize(
+    ("distance", "tilt", "is_used"),
+    [
+        (0.5, 0.0, True),
+        (0.5, 54.0, True),
+        (0.5, 56.0, False),
+        (0.16, 0.0, False),
+        (4.0, 0.0, False),
+    ],
+)
+def test_a_board_that_comes_into_view_slanted_or_cut_or_tiny_is_not_used(distance, tilt, is_used):
+    board = Board(
+        pattern="charuco", columns=7, rows=5, square=0.04, marker=0.03, dictionary="DICT_5X5_100"
+    )
+    scenario = Scenario(
+        "panda", replace(WRIST_AND_WALL, boards={"": board}), sigma={"px": 0.0}, noise=None
+    )
+    virtual = scenario.draw(1)
+    q = virtual.poses(2, 1)
+    wanted = np.eye(4)
+    wanted[:3, :3] = Rotation.from_euler("x", tilt, degrees=True).as_matrix()
+    wanted[:3, 3] = np.array([0.0, 0.0, distance]) - wanted[:3, :3] @ board.centre
+    truth = virtual.truth
+    T_base_tip = truth.tip_poses(q[:1], chain=truth.sights[0, 0])[0]
+    T_tip_target = truth.T_tip_target.copy()
+    T_tip_target[0] = np.linalg.inv(truth.T_frame_base[0] @ T_base_tip) @ wanted
+    moved = replace(virtual, truth=replace(truth, T_tip_target=T_tip_target))
+    rows = moved.measure(q).measurements
+    first = [image == "wrist_01.png" for image in rows.images]
+    assert any(first) == is_used
+
+
+def test_one_print_that_a_picture_shows_twice_is_said():
+    """Two boards on one flange, of one description or of one each."""
+    cell = Cell(
+        kind="pixel",
+        bases={"wall": "panda_link0"},
+        tips=dict.fromkeys(("left", "right"), "panda_link8"),
+        cameras={"wall": Camera(width=1280, height=720)},
+        boards={"": BOARD},
+    )
+    made = simulate(Scenario("panda", cell), 8, 0, seed=1)
+    assert shown_twice(made.pictures) == (0, 1)
+    assert "--board left=left.toml" in simulated_text(Scenario("panda", cell), made)
+    scenario = Scenario("panda", replace(cell, boards={"left": BOARD, "right": BOARD}))
+    assert shown_twice(simulate(scenario, 8, 0, seed=1).pictures) == ()
 
 
 def test_the_truth_file_names_camera_and_board_of_each_picture(pictures, tmp_path: Path):

@@ -181,3 +181,18 @@ def test_pictures_that_cannot_be_simulated(photograph, shop: Path, words, said):
     assert done.code != 0
     assert said in done.err
     assert not (shop / "pictures").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "tips"),
+    [
+        (("tiago_dual",), ("wrist_left_ft_tool_link", "wrist_right_ft_tool_link")),
+        (("panda", "--other-robot", "right=panda"), ("panda_link8", "right/panda_link8")),
+    ],
+)
+@pytest.mark.parametrize("verb", ["simulate", "plan"])
+def test_of_two_arms_the_hand_is_to_be_named(call, shop: Path, verb, words, tips):
+    done = call(shop, verb, *words, "--frame", "estimate", "-o", "two.csv")
+    assert done.code == 1
+    assert all(f"--tip NAME={tip}" in done.err for tip in tips)
+    assert not (shop / "two.csv").exists()

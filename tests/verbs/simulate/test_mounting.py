@@ -25,6 +25,7 @@ from calib.verbs.simulate.mounting import (
     outward,
     reach,
 )
+from calib.verbs.simulate.views import try_views
 from tests.verbs.simulate.cells import BOARD, CAMERA
 
 CENTRE = np.array([0.14, 0.1, 0.0])
@@ -183,6 +184,15 @@ def test_a_camera_is_put_beside_the_robot_and_the_board_on_the_flange():
         Robot.load("ur5", base="base_link", tip="tool0"), CAMERA, Print(BOARD), 0
     ).sightline
     assert 1.0 <= np.linalg.norm(sightline.T_instrument_base[:3, 3]) < 2.2
+    assert np.linalg.norm(sightline.T_tip_target[:3, 3]) < 0.3
+
+
+def test_a_place_with_one_view_is_a_place(monkeypatch):
+    module = "calib.verbs.simulate.mounting"
+    monkeypatch.setattr(f"{module}.try_views", lambda *words: try_views(*words)[:1])
+    monkeypatch.setattr(f"{module}._PLACES", 3)
+    robot = Robot.load("ur5", base="base_link", tip="tool0")
+    sightline = draw_scene(robot, CAMERA, Print(BOARD), 0).sightline
     assert np.linalg.norm(sightline.T_tip_target[:3, 3]) < 0.3
 
 
