@@ -56,7 +56,7 @@ _ROUNDING = 1e-12
 class Robot(Value):
     """A chain of a URDF, immutable: a changed robot is a new one. Lengths [m], angles [rad].
 
-    Two are equal when URDF, base, tip, held joints and coupled readings are.
+    Two are equal when URDF, base, tip, held joints, coupled readings, columns and branches are.
     """
 
     #: The n moving joints, base to tip, mimic and held ones too; those on the base's side with the axis reversed.
@@ -83,6 +83,8 @@ class Robot(Value):
     _reading_coupling: ReadingCoupling
     #: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
     inputs: tuple[UrdfJoint, ...] = field(compare=False)
+    #: Names of ``inputs``: one of several chains may have its columns in another order than the chain by itself.
+    _columns: tuple[str, ...] = field(init=False, repr=False)
     #: A of q_chain = A theta + b, shape (n, m): 1 if a joint of the chain is the column's, its multiplier if it mimics
     #: that. Coupled readings are not in it, but in ``reading_matrix``.
     mimic_matrix: Array = field(compare=False)
@@ -96,6 +98,10 @@ class Robot(Value):
     branches: tuple[Robot, ...] = ()
     #: The robots that the URDF was joined from, see `calib.robot.joined_urdf`; empty if it is of one robot.
     parts: tuple[Part, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Name the columns, by which robots are compared too."""
+        object.__setattr__(self, "_columns", tuple(joint.name for joint in self.inputs))
 
     @classmethod
     def load(

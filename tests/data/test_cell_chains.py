@@ -29,6 +29,8 @@ from calib.data.inputs import inputs_of
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, ModelError, UrdfError
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.robot.ranges import column_limits
+from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 from tests.two_handed import CELL, NAMES, fitted
 
@@ -315,3 +317,21 @@ def test_two_arms_without_links_ask_for_those_of_the_targets_that_the_table_name
     for few in (None, sights[:2]):
         with pytest.raises(UrdfError, match="--tip NAME=wrist_left_ft_tool_link"):
             robot_of_cell(urdf, Cell(), measured, few)
+
+
+def test_robots_with_columns_in_another_order_are_not_equal():
+    """Limits are remembered by robot: those of a limb in a cell's columns are not those of the arm by itself."""
+    cell = Cell(
+        bases={"wrist": "panda_link8", "wall": "panda_link0"},
+        tips={"table": "panda_link0", "flange": "panda_link8"},
+    )
+    sights = [("wrist", "table"), ("wall", "flange")]
+    robot = robot_of_cell(read_urdf("panda"), cell, sights=sights)
+    alone = Robot.load("panda", "panda_link0", "panda_link8")
+    for chain in robot.chains:
+        by_name = dict(zip(chain.joint_names, column_limits(chain).tolist(), strict=True))
+        for name, limits in zip(alone.joint_names, column_limits(alone).tolist(), strict=True):
+            assert by_name[name] == limits
+        if (chain.base, chain.tip) == ("panda_link0", "panda_link8"):
+            assert chain.joint_names == alone.joint_names[::-1]
+            assert chain != alone
