@@ -34,6 +34,7 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.fit.selection.row_weights import compare_weights
+from calib.instruments.internals import with_starts
 from calib.model.error_model import Parameter
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import scatter_of_repeats
@@ -106,9 +107,11 @@ def calibrate(
     if is_flange_robot(arm.joint_names):
         stated, model = _of_flange_poses(stated, model), None
     measured = measured.without_copies()
-    if arm.mounts:
+    if arm.mounts or stated.cameras:
         rows, setup = rows_and_setup(arm, measured, stated)
-        arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
+        stated = with_starts(stated, measured, rows.samples.internals)
+        if arm.mounts:
+            arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
     measured = numbered_from_one_end(arm, measured, stated)
     measured, found, wrong = without_mistakes_of_pictures(arm, stated, measured)
     measured, thinned = with_fewer_corners(measured)

@@ -234,7 +234,12 @@ def fit(
                 known.update(zip(names, fitted.estimate.x.tolist(), strict=True))
             means = zip(model.names, prior.mean.tolist(), strict=True)
             start = np.array([known.get(name, mean) for name, mean in means])
-        estimate = estimate_within_bounds(problem, task, prior, start)
+        # What targets of a stop share is a trait of the robot, and much the same under other models.
+        alike = next(iter((*filter(None, [reference]), *near)), None)
+        shares = None
+        if alike is not None and problem.stops is not None:
+            shares = alike.estimate.problem.stop_shares
+        estimate = estimate_within_bounds(problem, task, prior, start, shares)
         estimate = settle_pose_noise(estimate, problem, task, prior)
     else:
         estimate = paper_estimate(problem, task, registered)

@@ -134,7 +134,11 @@ class StageSolver:
 
 
 def estimate_with_priors(
-    problem: Problem, task: Task, prior: PriorTerms, start: Array | None = None
+    problem: Problem,
+    task: Task,
+    prior: PriorTerms,
+    start: Array | None = None,
+    stop_shares: Array | None = None,
 ) -> Estimate:
     """Estimate the parameters, weights, noise and prior standard deviations, without regard to bounds.
 
@@ -144,6 +148,7 @@ def estimate_with_priors(
         prior: Priors, at whose means the first solve begins; parameters that are held at a bound have a narrow one. Its
             source says whether their standard deviations are estimated or kept.
         start: shape (p,), parameters where the first solve begins instead; None: there.
+        stop_shares: shape (C, 3), what the targets of a stop have in common, to begin with; None: nothing.
 
     Returns:
         The estimate, by all rows.
@@ -156,13 +161,19 @@ def estimate_with_priors(
     solver = StageSolver(problem, task, prior.mean if start is None else start)
     every_row = np.ones((1, len(rows)), dtype=bool)
     first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
+    if stop_shares is not None:
+        first = replace(first, stop_shares=stop_shares[None])
     stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting)
     solution = solver.solve(stage, _FINE)
     return estimate_at_stage(problem, stage, solution)
 
 
 def estimate_within_bounds(
-    problem: Problem, task: Task, prior: PriorTerms, start: Array | None = None
+    problem: Problem,
+    task: Task,
+    prior: PriorTerms,
+    start: Array | None = None,
+    stop_shares: Array | None = None,
 ) -> Estimate:
     """Estimate the parameters within their bounds, by an active set.
 
@@ -175,6 +186,7 @@ def estimate_within_bounds(
         task: The fit.
         prior: Priors and bounds of the p parameters, none of them held.
         start: shape (p,), parameters where the first solve begins; None: at the means of the priors.
+        stop_shares: shape (C, 3), what the targets of a stop have in common, to begin with; None: nothing.
 
     Returns:
         The last estimate, with the indices of the parameters that are held at a bound.
@@ -185,7 +197,7 @@ def estimate_within_bounds(
     low, high = prior.limits.T
     fixed: dict[int, float] = {}
     released: set[int] = set()
-    estimate = estimate_with_priors(problem, task, prior, start)
+    estimate = estimate_with_priors(problem, task, prior, start, stop_shares)
     for _ in range(_ROUNDS * problem.size):
         is_beyond = (estimate.x < low) | (estimate.x > high)
         beyond = np.flatnonzero(is_beyond).tolist()
@@ -199,7 +211,7 @@ def estimate_within_bounds(
         for k in to_release:
             del fixed[k]
         released |= to_release
-        estimate = estimate_with_priors(problem, task, prior.at_bounds(fixed))
+        estimate = estimate_with_priors(problem, task, prior.at_bounds(fixed), None, stop_shares)
     return estimate
 
 
