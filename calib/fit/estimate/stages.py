@@ -15,7 +15,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
-from calib.fit.estimate.special_cases.stop_shares import PARTS
+from calib.fit.estimate.special_cases.stop_shares import PARTS, extrapolated
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES
 from calib.numerics.likelihood import GaussianPriors
@@ -403,6 +403,7 @@ def run_stages(
     ) -> tuple[Stage, LinearProblem]:
         """Repeat stages of one kind until the fits settle; return the last one, and the problem at its solution."""
         moving = np.arange(len(stage.kept))  # the fits that have not settled
+        last = None  # shares that the last round began with, and those it came to
         for _ in range(_ROUNDS):
             before = stage.select(moving)
             if by_likelihood:
@@ -411,15 +412,24 @@ def run_stages(
             else:
                 after = before.by_median(linear)
                 after = after.by_repeats(linear, poses, weighting.repeats)
+            settled = _has_settled(before, after, weights_only=not by_likelihood)
+            rounds = (before.stop_shares, after.stop_shares)
+            if last is not None:
+                after = replace(after, stop_shares=extrapolated(last, rounds))
+            last = (rounds[0][~settled], rounds[1][~settled])
             linear = linear_at(after)
             stage = stage.updated(moving, after)
-            settled = _has_settled(before, after, weights_only=not by_likelihood)
             moving = moving[~settled]
             if not len(moving):
                 break
         return stage, linear
 
+    # Medians are of scalars that are independent.
+    shares = stage.stop_shares
+    stage = replace(stage, stop_shares=np.zeros(shares.shape))
     for by_likelihood in by_likelihood_in_turn:
+        if by_likelihood:
+            stage = replace(stage, stop_shares=shares)
         stage, linear = settle(stage, linear, by_likelihood)
     if not robust or linear.stops is None:
         return stage, freedom
