@@ -192,7 +192,7 @@ def _shares_of(theta: Array) -> Array:
 def extrapolated(last: tuple[Array, Array], latest: tuple[Array, Array]) -> Array:
     """Extrapolate the shares of B fits from two rounds of an estimation that turns shares x into F(x).
 
-    Rounds near their limit like a geometric series. With the change f = F(x) - x of either round (D. G. Anderson, 1965),
+    Rounds near their limit like a geometric series. With the change f = F(x) - x of either (D. G. Anderson, 1965),
 
         x_next = F - theta (F - F_last),        theta = f^T (f - f_last) / |f - f_last|^2
 

@@ -81,7 +81,7 @@ class Stops:
     _cell_of_row: Integers = field(init=False, repr=False)
     #: (M,), index of each cell's stop, from 0
     _stop_of_cell: Integers = field(init=False, repr=False)
-    #: Of stops with equal numbers of cells k: their indices, (s,), and those of their scalars, (s, D k), in (D, M), flat
+    #: Of stops of k cells each: their indices, (s,), and those of their scalars, (s, D k), in (D, M), flat
     _batches: tuple[tuple[Integers, Integers], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -114,10 +114,12 @@ def test_rounds_that_shrink_by_one_ratio_are_extrapolated_to_their_limit(ratio):
 def test_an_extrapolation_leaves_shares_between_none_and_what_targets_need_for_themselves():
     """Slow rounds point below zero, or beyond one; there the last round counts."""
     fall = np.array([[[0.3, 0.02, 0.0]]])
-    down = [(fall, fall - [0.0, 0.010, 0.0]), (fall - [0.0, 0.010, 0.0], fall - [0.0, 0.0195, 0.0])]
+    step = np.array([0.0, 0.01, 0.0])
+    down = [(fall, fall - step), (fall - step, fall - 1.95 * step)]
     assert extrapolated(*down)[0, 0].min() == 0.0
     rise = np.array([[[0.8, 0.0, 0.0]]])
-    up = [(rise, rise + [0.05, 0.0, 0.0]), (rise + [0.05, 0.0, 0.0], rise + [0.095, 0.0, 0.0])]
+    step = np.array([0.05, 0.0, 0.0])
+    up = [(rise, rise + step), (rise + step, rise + 1.9 * step)]
     np.testing.assert_array_equal(extrapolated(*up), up[1][1])
     still = np.zeros((1, 1, 3))
     np.testing.assert_array_equal(extrapolated((still, still), (still, still)), still)
