@@ -49,7 +49,7 @@ def test_pictures_and_corners_are_kept_alike() -> None:
 
 
 def test_no_picture_comes_to_show_few_corners() -> None:
-    """Of 2,520 corners in 120 pictures of 21 each fifteen are kept: fewer would be doubted as if the board was hidden."""
+    """Of 21 corners in each of 120 pictures fifteen are kept: fewer would be doubted as if the board was hidden."""
     whole = table()
     pictures = tuple(str(k // 21) for k in range(len(whole)))
     many = replace(whole, images=pictures, sets=("estimate",) * len(whole))
