@@ -134,7 +134,7 @@ def write_urdf(source: Source, path: Path, options: Options) -> Notes:
     stated = {"run": robot.urdf.run, "verdict": robot.urdf.verdict}
     written = written.with_urdf(written.urdf.with_comments(**stated))
     poses = np.concatenate([chain.poses(q) for chain in robot.chains])
-    check_written(written, poses, q, source.nominal or robot)
+    check_written(written, poses, q)
     written.urdf.write(path, overwrite=options.overwrite)
     coupled = robot.reading_coupling
     if not coupled:

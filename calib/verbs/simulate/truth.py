@@ -126,7 +126,7 @@ class Truth(Value):
         robot = self.robot
         q = random_joint_values(robot)
         expected = np.concatenate([chain.poses(q) for chain in robot.chains])
-        check_written(robot, expected, q, self.nominal)
+        check_written(robot, expected, q)
         # Run and verdict in the nominal URDF are of another geometry.
         urdf = robot.urdf.with_comments(run="", verdict="")
         if robot.parts:
