@@ -60,7 +60,7 @@ def check_close(reader: str, link: str, poses: Array, expected: Array) -> None:
 
 
 def _poses_by_pinocchio(robot: Robot, q: Array) -> Array:
-    """Return T_base_tip at readings q (N, m) [rad or m] as Pinocchio reads a robot's URDF and moves it, (N, 4, 4) [m]."""
+    """Return T_base_tip (N, 4, 4) [m] at readings q (N, m) [rad or m] as Pinocchio reads and moves a robot's URDF."""
     model = full_model(robot.urdf)
     data = model.createData()
     links = [link_frame(model, link) for link in (robot.base, robot.tip)]

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dtrmm
 
 from calib.basics.arrays import Array
 from calib.robot.kernel import over_blocks
@@ -221,7 +222,8 @@ def ranking(blocks: Array, basis: Basis) -> Array:
             C = C @ (basis.target + leash * np.eye(r)) @ C
             C = 0.5 * (C + C.T)
         root = np.linalg.cholesky(C)
-        sensitivity = np.sum((flat @ root).reshape(n, -1) ** 2, axis=1)
+        changes = (flat @ root).reshape(n, -1)
+        sensitivity = np.einsum("nk,nk->n", changes, changes)
         weights = weights * (sensitivity / (weights @ sensitivity)) ** power
         weights /= weights.sum()
     return sensitivity
@@ -239,12 +241,14 @@ def _gain_bounds(blocks: Array, C: NDArray[np.floating[Any]], target: Array | No
     """
     n, d, r = blocks.shape
     K = C if target is None else C @ target @ C
+    # K is symmetric: x^T K x = x^T U x with an upper triangle U, which halves the products.
+    U = np.asfortranarray(np.triu(2.0 * K) - np.diag(np.diag(K)))
 
     def work(block: slice) -> Array:
         """Return tr(A K A^T) of each candidate of a slice."""
         A = blocks[block].reshape(-1, r)
-        AK = (A @ K).reshape(-1, d * r)
-        return np.asarray(np.einsum("nk,nk->n", AK, A.reshape(-1, d * r)))
+        AU = dtrmm(1.0, U, A.T).T
+        return np.asarray(np.einsum("nk,nk->n", AU.reshape(-1, d * r), A.reshape(-1, d * r)))
 
     trace = np.concatenate(over_blocks(work, n))
     if target is None:
