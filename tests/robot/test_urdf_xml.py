@@ -142,7 +142,7 @@ def test_a_verdict_is_replaced_and_read_back():
     assert again.with_comments(run="", verdict=again.verdict) == again
     moved = again.with_origins({"one": np.eye(4)})
     assert moved.verdict == again.verdict
-    # Pinocchio and yourdfpy read it as before.
+    # Pinocchio and calib read it as before.
     robot = Robot.from_urdf(again, "a", "c")
     q = random_joint_values(robot)
     given = Robot.from_urdf(urdf.with_comments(run="", verdict=""), "a", "c")
