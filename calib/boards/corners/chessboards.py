@@ -194,12 +194,18 @@ class Chessboard(Value):
     is_white_first: bool
 
 
-def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN401  8-bit
+def find_chessboard(
+    image: Any,  # noqa: ANN401  8-bit
+    board: Board,
+    *,
+    quick: bool = False,
+) -> Chessboard | None:
     """Find a plain chessboard in an image, by OpenCV, and the order of its inner corners.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).
         board: A chessboard.
+        quick: True to leave out OpenCV's slower detector, which takes seconds for a chessboard of another size.
 
     Returns:
         The chessboard; None if not all corners are seen, or what OpenCV takes for them are not: of a board with more
@@ -217,7 +223,7 @@ def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN
     size = (board.columns - 1, board.rows - 1)
     factor = 1
     is_seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not is_seen:
+    if not is_seen and not quick:
         # The other detector takes minutes for a large picture that is soft.
         factor = max(1, -(-max(image.shape) // _LARGEST))
         shape = (max(1, image.shape[1] // factor), max(1, image.shape[0] // factor))
