@@ -35,6 +35,14 @@ _NO_RISE = 1e-12
 #: Logarithms whose steps are shorter have converged.
 _CONVERGED = 1e-4
 
+#: The same if the likelihood is only compared with that of other models: a step this short no longer takes a standard
+#: deviation that vanishes, whose steps are longer than half.
+_NEARLY_CONVERGED = 0.1
+
+#: And the step promises to raise the log-likelihood by less. Steps shrink like a geometric series, of a ratio up to
+#: 0.9, so all that follow add no more than a few times that: next to nothing beside a unit.
+_LITTLE_RISE = 1e-3
+
 #: Damping of the information matrix, as a share of its diagonal.
 _DAMPING = 1e-3
 
@@ -64,6 +72,8 @@ def prior_std_by_reml(
     start: tuple[Array, Array],
     priors: GaussianPriors,
     limits: VarianceLimits,
+    *,
+    only_compared: bool = False,
 ) -> tuple[Array, Array]:
     """Estimate noise and prior standard deviations of B fits, by damped Fisher scoring on their logarithms.
 
@@ -74,6 +84,8 @@ def prior_std_by_reml(
             family's parameters, to begin with.
         priors: Normal priors of the p parameters besides those of the families; they stay as they are.
         limits: Bounds of the result.
+        only_compared: Whether the likelihood of the result is only compared with that of other models: it is then the
+            highest but for a few times `_LITTLE_RISE`.
 
     Returns:
         The noise of each channel, shape (B, C), and the prior standard deviation of each family, shape (B, K), in its
@@ -122,7 +134,10 @@ def prior_std_by_reml(
         last_step[moving] = step
         logs[moving] = after
         change = np.abs(after - before).max(axis=1)
-        moving = moving[change >= _CONVERGED]
+        converged = change < _CONVERGED
+        if only_compared:
+            converged |= (change < _NEARLY_CONVERGED) & (rise < _LITTLE_RISE)
+        moving = moving[~converged]
         if not len(moving):
             break
     values = np.exp(logs)
