@@ -192,19 +192,23 @@ def fold_posterior_means(
     of_all = linear.normal_equations(problem.weights[None], problem.stop_shares)
     (mean,), (covariance,) = of_all.posterior(noise, priors)
     means = np.empty((len(masks), len(mean)))
+    is_small = np.sum(masks, axis=1) * linear.used.shape[1] < len(mean)
+    if np.any(is_small):  # then few rows are to be whitened
+        whiten = np.sqrt(problem.weights)[:, None] / linear.noise_by_scalar(noise)[0]
+        A = linear.A * whiten[:, :, None]
+        AC = A @ covariance
+        r = linear.residual(mean) * whiten
     for k, mask in enumerate(masks):
-        fold, weights = linear.select(mask), problem.weights[None, mask]
-        if fold.channels.index.size < len(mean):
-            # With the whitened rows A of the fold, x = x_all - C A^T (1 - A C A^T)^-1 r.
-            whiten = np.sqrt(weights.T) / fold.noise_by_scalar(noise)[0]
-            A = (fold.A * whiten[:, :, None])[fold.used]
-            r = (fold.residual(mean) * whiten)[fold.used]
-            AC = A @ covariance
-            left = np.eye(len(r)) - AC @ A.T
-            if np.linalg.eigvalsh(left)[:1].min(initial=1.0) > _LEFT_TO_OTHERS:
-                means[k] = mean - AC.T @ np.linalg.solve(left, r)
+        if is_small[k]:
+            # With the whitened rows of the fold, x = x_all - C A^T (1 - A C A^T)^-1 r.
+            A_fold, AC_fold = (M[mask].reshape(-1, len(mean)) for M in (A, AC))
+            left = np.eye(len(A_fold)) - AC_fold @ A_fold.T
+            if np.linalg.eigvalsh(left)[0] > _LEFT_TO_OTHERS:
+                means[k] = mean - np.linalg.solve(left, r[mask].ravel()) @ AC_fold
                 continue
-        of_others = of_all.without(fold.normal_equations(weights, problem.stop_shares))
+        fold = linear.select(mask)
+        of_fold = fold.normal_equations(problem.weights[None, mask], problem.stop_shares)
+        of_others = of_all.without(of_fold)
         if np.any(diagonals(of_others.H[0]) < _LEFT_TO_OTHERS * diagonals(of_all.H[0])):
             # What only the fold sees must not be left with its rounding.
             of_others = linear.normal_equations(
