@@ -236,7 +236,9 @@ class Stage:
             noise[:, c] = np.maximum(by_median, smallest)
         return noise
 
-    def by_likelihood(self, linear: LinearProblem, robust: bool) -> Stage:
+    def by_likelihood(
+        self, linear: LinearProblem, robust: bool, *, only_compared: bool = False
+    ) -> Stage:
         """Return the stage with noise and prior standard deviations of the highest restricted likelihood.
 
         Log noise has a normal prior about 0. Prior standard deviations are estimated if the source of the priors is
@@ -246,6 +248,7 @@ class Stage:
             linear: The linearised problem.
             robust: Whether to give the rows the weights that follow from their scores first; then weights and
                 likelihood are computed in turn.
+            only_compared: Whether the likelihood is only compared with that of other models.
         """
         prior = self.prior
         stage = self
@@ -262,7 +265,12 @@ class Stage:
                 start = (stage.noise, stage.prior_std)
                 besides_families = GaussianPriors(prior.precision, prior.mean)
                 noise, prior_std = prior_std_by_reml(
-                    equations, prior.families, start, besides_families, limits
+                    equations,
+                    prior.families,
+                    start,
+                    besides_families,
+                    limits,
+                    only_compared=only_compared,
                 )
                 stage = replace(stage, noise=noise, prior_std=prior_std)
             else:
@@ -379,6 +387,8 @@ def run_stages(
     linear_at: Callable[[Stage], LinearProblem],
     poses: Integers,
     weighting: Weighting,
+    *,
+    only_compared: bool = False,
 ) -> tuple[Stage, Array]:
     """Estimate weights, noise and prior standard deviations of B fits, until they settle.
 
@@ -387,6 +397,8 @@ def run_stages(
         linear_at: Maps a stage to the problem linearised at its solution; B fits share one linearisation.
         poses: shape (N,), rows of one number are repeats.
         weighting: Treatment of repeats and outliers.
+        only_compared: Whether the likelihood of the last stage is only compared with that of other models: a stage that
+            is linearised where the last one was then has settled.
 
     Returns:
         The last stage, and the degrees of freedom of the fits at the first one, shape (B,): if they are few no row
@@ -407,7 +419,7 @@ def run_stages(
         for _ in range(_ROUNDS):
             before = stage.select(moving)
             if by_likelihood:
-                after = before.by_likelihood(linear, robust)
+                after = before.by_likelihood(linear, robust, only_compared=only_compared)
                 after = after.by_repeats(linear, poses, weighting.repeats).by_stops(linear)
             else:
                 after = before.by_median(linear)
@@ -417,8 +429,10 @@ def run_stages(
             if last is not None:
                 after = replace(after, stop_shares=extrapolated(last, rounds))
             last = (rounds[0][~settled], rounds[1][~settled])
-            linear = linear_at(after)
+            linear, begun_at = linear_at(after), linear
             stage = stage.updated(moving, after)
+            if only_compared and linear is begun_at and linear.stops is None:
+                break
             moving = moving[~settled]
             if not len(moving):
                 break
