@@ -171,7 +171,8 @@ def augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -
         sigma = np.array([known.sigma for known in problem.distances])
         of_known[: len(sigma)] = of_distances / sigma[:, None]
     standardised = problem.rows.standardise(columns)
-    before, residual = linear.columns[:-1], linear.columns[-1:]
+    columns_before = linear.columns_of(slice(None))
+    before, residual = columns_before[:-1], columns_before[-1:]
     return replace(
         linear,
         x=np.pad(linear.x, (0, count)),

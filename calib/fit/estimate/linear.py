@@ -10,6 +10,7 @@ B fits that differ in the weights of their rows are computed together. For the l
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,13 +28,23 @@ _CACHED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ComputedColumns(Value):
+    """Columns of so many rows that they are not kept, but computed again for each block whenever they are needed."""
+
+    #: (p + 1, D, N)
+    shape: tuple[int, int, int]
+    #: Maps a slice of n rows to their columns, shape (p + 1, D, n)
+    of_rows: Callable[[slice], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LinearProblem(Value):
     """N rows of D scalars linearised at x, by p parameters, in units of each scalar's given sigma."""
 
     #: (p,), x0, where the problem is linearised
     x: Array
     #: (p + 1, D, N): the Jacobian A of the prediction and, last, the residual r at x0
-    columns: Array
+    columns: Array | ComputedColumns
     #: (N, D), the channel of each scalar: its kind and unit, and so its noise
     channels: Channels
     #: (C,), lowest noise of each channel, in units of the given sigma
@@ -46,8 +57,8 @@ class LinearProblem(Value):
     held: Array
     #: Where the robot stood while several targets were measured; None if it never did
     stops: Stops | None = None
-    #: Normal equations, with the weights and shares of stops that they are for; the latest first
-    _cache: list[tuple[Array, Array, NormalEquations]] = field(
+    #: Products and normal equations, with the weights and shares of stops that they are for; the latest first
+    _cache: list[tuple[Array, Array, tuple[Array, NormalEquations]]] = field(
         init=False, repr=False, default_factory=list
     )
 
@@ -63,7 +74,16 @@ class LinearProblem(Value):
     @property
     def A(self) -> Array:
         """Jacobian of the prediction by the parameters at x0, shape (N, D, p); 0 for scalars that were not measured."""
-        return np.asarray(self.columns[:-1].transpose(2, 1, 0))
+        return np.asarray(self.columns_of(slice(None))[:-1].transpose(2, 1, 0))
+
+    def columns_of(self, rows: slice) -> Array:
+        """Return the columns of some of the rows, shape (p + 1, D, n); of all, shape (p + 1, D, N), by ``slice(None)``.
+
+        Of many rows ask for blocks, see `over_blocks`: all of them may take more memory than there is.
+        """
+        if isinstance(self.columns, ComputedColumns):
+            return self.columns.of_rows(rows)
+        return self.columns[:, :, rows]
 
     def noise_by_scalar(self, noise: Array) -> Array:
         """Return the noise of each scalar: that of its channel.
@@ -87,19 +107,40 @@ class LinearProblem(Value):
         Returns:
             shape (N, D) or (B, N, D), in units of each scalar's given sigma.
         """
-        count, D, N = self.columns.shape
-        flat = self.columns.reshape(count, D * N)
-        residual = flat[-1] - (x - self.x) @ flat[:-1]
-        return np.asarray(residual.reshape(*x.shape[:-1], D, N).swapaxes(-1, -2))
+        change = x - self.x
+
+        def of_block(rows: slice) -> Array:
+            """The residual of some of the rows, (D, n) or (B, D, n)."""
+            columns = self.columns_of(rows)
+            flat = columns.reshape(len(columns), -1)
+            of_rows = flat[-1] - change @ flat[:-1]
+            return np.asarray(of_rows.reshape(*x.shape[:-1], *columns.shape[1:]))
+
+        if isinstance(self.columns, ComputedColumns):
+            residual = np.concatenate(over_blocks(of_block, len(self)), axis=-1)
+        else:
+            residual = of_block(slice(None))
+        return residual.swapaxes(-1, -2)
 
     def select(self, mask: Mask) -> LinearProblem:
         """Return the problem of some of the rows, (N,), in their order, with the same constraints."""
         return replace(
             self,
-            columns=self.columns[:, :, mask],
+            columns=self._select(mask),
             channels=self.channels.select(mask),
             stops=None if self.stops is None else self.stops.select(mask),
         )
+
+    def _select(self, mask: Mask) -> Array:
+        """The columns of some of the rows, (N,), in their order."""
+        if not isinstance(self.columns, ComputedColumns):
+            return self.columns[:, :, mask]
+
+        def of_block(rows: slice) -> Array:
+            """Those of one block."""
+            return self.columns_of(rows)[:, :, mask[rows]]
+
+        return np.concatenate(over_blocks(of_block, len(self)), axis=2)
 
     def normal_equations(self, weights: Array, stop_shares: Array) -> NormalEquations:
         """Return the normal equations of B fits, of A x = y with y = r + A x0.
@@ -112,12 +153,26 @@ class LinearProblem(Value):
             The equations of the B fits, with those of each of C channels apart, in units of the given sigma, and with
             the constraints.
         """
-        for of_weights, of_shares, equations in self._cache:
-            if np.array_equal(of_weights, weights) and np.array_equal(of_shares, stop_shares):
-                return equations
+        return self._sums(weights, stop_shares)[1]
 
-        # By the products [A r]^T W [A r] of each channel.
-        size = len(self.columns)
+    def products(self, weights: Array, stop_shares: Array) -> Array:
+        """Return the products [A r]^T W [A r] of each channel for B fits, from which the normal equations are made.
+
+        Args:
+            weights: shape (B, N), of the rows in each fit.
+            stop_shares: shape (C, 3) or (B, C, 3), what the targets of a stop have in common.
+
+        Returns:
+            shape (B, C, p + 1, p + 1), in units of the given sigma.
+        """
+        return self._sums(weights, stop_shares)[0]
+
+    def _sums(self, weights: Array, stop_shares: Array) -> tuple[Array, NormalEquations]:
+        """What `products` and `normal_equations` return, of the cache if they are there."""
+        for of_weights, of_shares, sums in self._cache:
+            if np.array_equal(of_weights, weights) and np.array_equal(of_shares, stop_shares):
+                return sums
+        size = self.columns.shape[0]
         of_channels = [np.equal(self.channels.index.T, c) for c in range(len(self.smallest_noise))]
         scalars = np.array([of_channel.sum(axis=0) for of_channel in of_channels])
         count = weights @ scalars.T
@@ -125,17 +180,21 @@ class LinearProblem(Value):
         log_det = np.zeros(len(weights))
         root_weights = np.sqrt(weights)
         if self.stops is None or not np.any(stop_shares):
-            for c, of_channel in enumerate(of_channels):
-                products[:, c] = self._products(self.columns, root_weights, of_channel)
+            products = self._products_of(self.columns_of, root_weights, of_channels)
         else:
             shares = np.broadcast_to(stop_shares, (*count.shape, stop_shares.shape[-1]))
             weighted = np.ones((1, len(self)))
+            columns = self.columns_of(slice(None))
             for b, root in enumerate(root_weights):
                 independent, log_det[b] = self.stops.independent(
-                    self.columns * root, weights[b], shares[b]
+                    columns * root, weights[b], shares[b]
                 )
-                for c, of_channel in enumerate(of_channels):
-                    products[b, c] = self._products(independent, weighted, of_channel)[0]
+
+                def of_rows(rows: slice, independent: Array = independent) -> Array:
+                    """The independent columns of some rows."""
+                    return independent[:, :, rows]
+
+                products[b] = self._products_of(of_rows, weighted, of_channels)[0]
 
         p = len(self.x)
         H = products[..., :p, :p]
@@ -145,30 +204,38 @@ class LinearProblem(Value):
         yy = rr + (2.0 * g + Hx) @ self.x
         known = (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
         equations = NormalEquations(H, g + Hx, yy, count, known, self.held, log_det)
-        latest = (weights.copy(), stop_shares.copy(), equations)
+        latest = (weights.copy(), stop_shares.copy(), (products, equations))
         self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
-        return equations
+        return products, equations
 
-    def _products(self, columns: Array, root_weights: Array, of_channel: Mask) -> Array:
-        """The products [A r]^T W [A r] over the scalars of one channel, for B fits, shape (B, p + 1, p + 1).
+    def _products_of(
+        self,
+        columns_of: Callable[[slice], Array],
+        root_weights: Array,
+        of_channels: Sequence[Mask],
+    ) -> Array:
+        """The products [A r]^T W [A r] over the scalars of each channel, for B fits, shape (B, C, p + 1, p + 1).
 
-        [A r] are columns (p + 1, D, N); W has the weights of the rows, whose roots are given, (B, N), for the scalars
-        of the channel, True in (D, N).
+        [A r] are columns, by slices of rows; W has the weights of the rows, whose roots are given, (B, N), for the
+        scalars of each channel, True in (D, N).
         """
-        with_any = np.flatnonzero(of_channel.any(axis=1))
-        first = with_any.min(initial=len(of_channel))
-        last = with_any.max(initial=-1)
-        scalars = slice(first, last + 1)
-        factor = root_weights[:, None] * of_channel[scalars]
+        scalars = []
+        for of_channel in of_channels:
+            with_any = np.flatnonzero(of_channel.any(axis=1))
+            first = with_any.min(initial=len(of_channel))
+            scalars.append(slice(first, with_any.max(initial=-1) + 1))
 
         def product(rows: slice) -> Array:
             """The products over some of the rows."""
-            of_rows = columns[:, scalars, rows]
-            of_fits = []
-            for factor_of_fit in factor[:, :, rows]:
-                part = (of_rows * factor_of_fit).reshape(len(columns), -1)
-                of_fits.append(part @ part.T)
-            return np.array(of_fits)
+            of_rows = columns_of(rows)
+            size = len(of_rows)
+            result = np.empty((len(root_weights), len(of_channels), size, size))
+            for b, root in enumerate(root_weights):
+                for c, of_channel in enumerate(of_channels):
+                    factor = root[rows] * of_channel[scalars[c], rows]
+                    part = (of_rows[:, scalars[c]] * factor).reshape(size, -1)
+                    result[b, c] = part @ part.T
+            return result
 
         of_blocks = over_blocks(product, len(self))
         return np.asarray(np.sum(of_blocks, axis=0))
@@ -240,15 +307,18 @@ class LinearProblem(Value):
             which the bodies can be displaced, shape (B, S).
         """
         assert self.stops is not None
+        columns = self.columns_of(slice(None))
         scores = np.zeros(in_fit.shape)
         directions = np.zeros(in_fit.shape, dtype=np.int_)
         for b in range(len(x)):
-            displaced = self.stops.displacements(self.columns, weights[b], noise[b], shares[b])
+            displaced = self.stops.displacements(columns, weights[b], noise[b], shares[b])
             A = displaced[..., :-1]
             r = displaced[..., -1] - A @ (x[b] - self.x)
-            unit = np.ones((1, *r.shape))
+            unit = np.ones((1, *r.T.shape))
             stop_weights = in_fit[b, None].astype(np.float64)
-            norms = deleted_norms(r[None], A, covariance[b, None], stop_weights, unit)
+            norms = deleted_norms(
+                r.T[None], A.transpose(2, 1, 0), covariance[b, None], stop_weights, unit
+            )
             directions[b] = np.sum(np.any(displaced != 0.0, axis=2), axis=1)
             scores[b] = point_scores(norms, directions[b])[0]
         return scores, directions
@@ -266,4 +336,20 @@ class LinearProblem(Value):
         Returns:
             shape (B, N), >= 0, in standard deviations of such a residual, if ``factors`` are 1 over the noise.
         """
-        return deleted_norms(self.residual(x), self.A, covariance, weights, factors)
+        norms = np.empty(weights.shape)
+
+        def work(rows: slice) -> None:
+            """Fill in the norms of some of the rows."""
+            columns = self.columns_of(rows)
+            flat = columns.reshape(len(columns), -1)
+            residual = flat[-1] - (x - self.x) @ flat[:-1]
+            norms[:, rows] = deleted_norms(
+                residual.reshape(len(x), *columns.shape[1:]),
+                columns[:-1],
+                covariance,
+                weights[:, rows],
+                factors[:, rows].swapaxes(1, 2),
+            )
+
+        over_blocks(work, len(self))
+        return norms

@@ -335,7 +335,7 @@ class Stage:
             return self
         x, covariance, _ = self.fit(linear)
         shares = linear.stops.estimate_shares(
-            linear.columns, x - linear.x, covariance, self.effective, self.stop_shares
+            linear.columns_of(slice(None)), x - linear.x, covariance, self.effective, self.stop_shares
         )
         rounding = self.noise <= _ROUNDING * np.array(linear.smallest_noise)
         return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
