@@ -399,3 +399,11 @@ def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
         Its results, block by block.
     """
     return [work(slice(k, min(k + BLOCK, count))) for k in range(0, count, BLOCK)]
+
+
+def sum_over_blocks(work: Callable[[slice], Array], count: int) -> Array:
+    """Return the sum of the arrays, of one shape, that a function returns for each block of samples, see `over_blocks`.
+
+    Blocks are added in their order.
+    """
+    return np.asarray(np.sum(over_blocks(work, count), axis=0))

@@ -195,7 +195,7 @@ def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) 
     traces = of_placements & (np.abs(x) < least)
     result = np.where(traces, 0.0, x)
     if np.any(traces):
-        A = linear.A[linear.used]
+        A = linear.reduced_jacobian()
         removed = A[:, traces] @ x[traces]
         result[of_setup] += np.linalg.lstsq(A[:, of_setup], removed, rcond=_RANK_TOLERANCE)[0]
     return result

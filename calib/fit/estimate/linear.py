@@ -18,10 +18,11 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.channels import Channels
 from calib.basics.values import Value
+from calib.fit.estimate.special_cases.stop_shares import PARTS
 from calib.fit.estimate.special_cases.stops import Stops
 from calib.numerics.likelihood import GaussianPriors, NormalEquations
 from calib.numerics.scores import deleted_norms, point_scores
-from calib.robot.kernel import over_blocks
+from calib.robot.kernel import over_blocks, sum_over_blocks
 
 #: Number of normal equations to cache; stages ask for the same ones again.
 _CACHED = 3
@@ -98,6 +99,17 @@ class LinearProblem(Value):
         without_channel = np.ones((len(noise), 1))
         return np.hstack([noise, without_channel])[:, self.channels.index]
 
+    def reduced_jacobian(self) -> Array:
+        """Return the Jacobian of the measured scalars, shape (M, p); if columns are not kept, one of the same products.
+
+        The latter is R = S V^T, shape (p + 1, p), with [A r]^T [A r] = V S^2 V^T, of the last weights.
+        """
+        if not isinstance(self.columns, ComputedColumns):
+            return np.asarray(self.A[self.used])
+        _, _, (products, _) = self._cache[0]
+        values, vectors = np.linalg.eigh(products[0].sum(axis=0))
+        return np.asarray((np.sqrt(np.maximum(values, 0.0)) * vectors).T[:, :-1])
+
     def residual(self, x: Array) -> Array:
         """Return measured minus predicted by the linear model, r - A (x - x0).
 
@@ -169,33 +181,46 @@ class LinearProblem(Value):
 
     def _sums(self, weights: Array, stop_shares: Array) -> tuple[Array, NormalEquations]:
         """What `products` and `normal_equations` return, of the cache if they are there."""
+        shares_count = np.any(stop_shares)
         for of_weights, of_shares, sums in self._cache:
-            if np.array_equal(of_weights, weights) and np.array_equal(of_shares, stop_shares):
+            same_shares = (
+                np.array_equal(of_shares, stop_shares) if shares_count else not np.any(of_shares)
+            )
+            if same_shares and np.array_equal(of_weights, weights):
                 return sums
-        size = self.columns.shape[0]
-        of_channels = [np.equal(self.channels.index.T, c) for c in range(len(self.smallest_noise))]
-        scalars = np.array([of_channel.sum(axis=0) for of_channel in of_channels])
-        count = weights @ scalars.T
-        products = np.zeros((*count.shape, size, size))
-        log_det = np.zeros(len(weights))
         root_weights = np.sqrt(weights)
-        if self.stops is None or not np.any(stop_shares):
-            products = self._products_of(self.columns_of, root_weights, of_channels)
+        log_det = np.zeros(len(weights))
+        of_channels = self._of_channels()
+        if self.stops is None or not shares_count:
+
+            def of_block(rows: slice) -> Array:
+                """The products over some of the rows."""
+                return _products(self.columns_of(rows), root_weights[:, rows], of_channels, rows)
+
+            products = sum_over_blocks(of_block, len(self))
         else:
-            shares = np.broadcast_to(stop_shares, (*count.shape, stop_shares.shape[-1]))
-            weighted = np.ones((1, len(self)))
+            shape = (len(weights), len(of_channels), *stop_shares.shape[-1:])
+            shares = np.broadcast_to(stop_shares, shape)
             columns = self.columns_of(slice(None))
+            of_fits = []
             for b, root in enumerate(root_weights):
                 independent, log_det[b] = self.stops.independent(
                     columns * root, weights[b], shares[b]
                 )
+                unit = np.ones((1, len(self)))
+                of_fits.append(_products(independent, unit, of_channels, slice(None))[0])
+            products = np.array(of_fits)
+        return self._keep(weights, stop_shares, products, log_det)
 
-                def of_rows(rows: slice, independent: Array = independent) -> Array:
-                    """The independent columns of some rows."""
-                    return independent[:, :, rows]
+    def _of_channels(self) -> list[Mask]:
+        """The scalars of each channel, True in masks (D, N)."""
+        return [np.equal(self.channels.index.T, c) for c in range(len(self.smallest_noise))]
 
-                products[b] = self._products_of(of_rows, weighted, of_channels)[0]
-
+    def _keep(
+        self, weights: Array, stop_shares: Array, products: Array, log_det: Array
+    ) -> tuple[Array, NormalEquations]:
+        """Make normal equations of products (B, C, p + 1, p + 1), and cache both with what they are for."""
+        count = weights @ np.array([mask.sum(axis=0) for mask in self._of_channels()]).T
         p = len(self.x)
         H = products[..., :p, :p]
         g = products[..., :p, p]
@@ -207,38 +232,6 @@ class LinearProblem(Value):
         latest = (weights.copy(), stop_shares.copy(), (products, equations))
         self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
         return products, equations
-
-    def _products_of(
-        self,
-        columns_of: Callable[[slice], Array],
-        root_weights: Array,
-        of_channels: Sequence[Mask],
-    ) -> Array:
-        """The products [A r]^T W [A r] over the scalars of each channel, for B fits, shape (B, C, p + 1, p + 1).
-
-        [A r] are columns, by slices of rows; W has the weights of the rows, whose roots are given, (B, N), for the
-        scalars of each channel, True in (D, N).
-        """
-        scalars = []
-        for of_channel in of_channels:
-            with_any = np.flatnonzero(of_channel.any(axis=1))
-            first = with_any.min(initial=len(of_channel))
-            scalars.append(slice(first, with_any.max(initial=-1) + 1))
-
-        def product(rows: slice) -> Array:
-            """The products over some of the rows."""
-            of_rows = columns_of(rows)
-            size = len(of_rows)
-            result = np.empty((len(root_weights), len(of_channels), size, size))
-            for b, root in enumerate(root_weights):
-                for c, of_channel in enumerate(of_channels):
-                    factor = root[rows] * of_channel[scalars[c], rows]
-                    part = (of_rows[:, scalars[c]] * factor).reshape(size, -1)
-                    result[b, c] = part @ part.T
-            return result
-
-        of_blocks = over_blocks(product, len(self))
-        return np.asarray(np.sum(of_blocks, axis=0))
 
     def fit(
         self,
@@ -278,10 +271,65 @@ class LinearProblem(Value):
             shape (B, N), >= 0, in standard deviations. Rows of more or fewer scalars are scored by what three scalars
             of the same probability would have.
         """
-        factors = 1.0 / self.noise_by_scalar(noise)
-        norms = self.norms(x, covariance, weights, factors)
-        scalars = np.sum(self.used, axis=1)
-        return point_scores(norms, scalars)
+        scored = over_blocks(self._scorer(x, covariance, weights, noise), len(self))
+        return np.concatenate([scores for scores, _ in scored], axis=1)
+
+    def weigh_by_scores(
+        self,
+        x: Array,
+        covariance: Array,
+        weights: Array,
+        noise: Array,
+        weight_of: Callable[[Array, slice], Array],
+        *,
+        shared: bool,
+    ) -> Array:
+        """Weight the rows by their scores; in the same pass form the normal equations of these weights, for the cache.
+
+        Args:
+            x: shape (B, p), parameters of each of B fits [m, rad, ...].
+            covariance: shape (B, p, p), of x.
+            weights: shape (B, N), of the rows in each fit.
+            noise: shape (B, C), of each channel, in units of the given sigma.
+            weight_of: Maps the scores of a slice of the rows, (B, n), to their weights in the next fit, (B, n).
+            shared: Whether targets of a stop share errors: their normal equations are not sums over single rows.
+
+        Returns:
+            The next weights, shape (B, N).
+        """
+        score = self._scorer(x, covariance, weights, noise)
+        of_channels = self._of_channels()
+        next_weights = np.empty(weights.shape)
+
+        def of_block(rows: slice) -> Array:
+            """Weigh some of the rows, and return their products."""
+            scores, columns = score(rows)
+            next_weights[:, rows] = weight_of(scores, rows)
+            if shared:
+                return np.zeros(0)
+            return _products(columns, np.sqrt(next_weights[:, rows]), of_channels, rows)
+
+        products = sum_over_blocks(of_block, len(self))
+        if not shared:
+            unshared = np.zeros((len(self.smallest_noise), len(PARTS)))
+            self._keep(next_weights, unshared, products, np.zeros(len(weights)))
+        return next_weights
+
+    def _scorer(
+        self, x: Array, covariance: Array, weights: Array, noise: Array
+    ) -> Callable[[slice], tuple[Array, Array]]:
+        """The function of a slice of n rows that returns their scores, (B, n), and columns, (p + 1, D, n)."""
+        # An entry without a scalar has the channel -1, the last one here.
+        factors = 1.0 / np.hstack([noise, np.ones((len(noise), 1))])
+
+        def score(rows: slice) -> tuple[Array, Array]:
+            """Score some of the rows."""
+            channel = self.channels.index[rows].T
+            columns = self.columns_of(rows)
+            norms = self._norms(columns, x, covariance, weights[:, rows], factors[:, channel])
+            return point_scores(norms, np.sum(channel >= 0, axis=0)), columns
+
+        return score
 
     def stop_scores(
         self,
@@ -340,16 +388,40 @@ class LinearProblem(Value):
 
         def work(rows: slice) -> None:
             """Fill in the norms of some of the rows."""
+            of_rows = factors[:, rows].swapaxes(1, 2)
             columns = self.columns_of(rows)
-            flat = columns.reshape(len(columns), -1)
-            residual = flat[-1] - (x - self.x) @ flat[:-1]
-            norms[:, rows] = deleted_norms(
-                residual.reshape(len(x), *columns.shape[1:]),
-                columns[:-1],
-                covariance,
-                weights[:, rows],
-                factors[:, rows].swapaxes(1, 2),
-            )
+            norms[:, rows] = self._norms(columns, x, covariance, weights[:, rows], of_rows)
 
         over_blocks(work, len(self))
         return norms
+
+    def _norms(
+        self, columns: Array, x: Array, covariance: Array, weights: Array, factors: Array
+    ) -> Array:
+        """The norms, (B, n), of rows with these columns, (p + 1, D, n), and factors, (B or 1, D, n), as of `norms`."""
+        flat = columns.reshape(len(columns), -1)
+        residual = flat[-1] - (x - self.x) @ flat[:-1]
+        by_row = residual.reshape(len(x), *columns.shape[1:])
+        return deleted_norms(by_row, columns[:-1], covariance, weights, factors)
+
+
+def _products(
+    columns: Array, root_weights: Array, of_channels: Sequence[Mask], rows: slice
+) -> Array:
+    """The products [A r]^T W [A r] of n rows over the scalars of each channel, for B fits, (B, C, p + 1, p + 1).
+
+    [A r] are columns (p + 1, D, n); W has the weights of these rows, whose roots are given, (B, n), for the scalars of
+    each channel, True in (D, N).
+    """
+    size = len(columns)
+    result = np.empty((len(root_weights), len(of_channels), size, size))
+    for c, of_channel in enumerate(of_channels):
+        in_channel = of_channel[:, rows]
+        with_any = np.flatnonzero(in_channel.any(axis=1))
+        first = with_any.min(initial=0)
+        scalars = slice(first, with_any.max(initial=-1) + 1)
+        for b, root in enumerate(root_weights):
+            factor = root * in_channel[scalars]
+            part = (columns[:, scalars] * factor).reshape(size, -1)
+            result[b, c] = part @ part.T
+    return result

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
 from calib.fit.estimate.linear import ComputedColumns, LinearProblem
 from calib.fit.estimate.special_cases.arm_size import SizeGauge, find_size_gauge, measures_length
@@ -127,6 +127,10 @@ class Problem(Value):
         residual = linear.residual(linear.x)
         gauge = find_size_gauge(self.kinematics, self.rows, linear.A, residual)
         return replace(self, gauge=gauge, _last=[])  # the linearised problem has no gauge
+
+    def select(self, chosen: Mask) -> Problem:
+        """Return the problem of some of the rows, (N,), of which no stop has several targets."""
+        return replace(self.with_rows(self.rows.select(chosen)), weights=self.weights[chosen])
 
     def with_rows(self, rows: Rows) -> Problem:
         """Return the problem with the same rows whose given errors differ, such as by another noise of poses.

@@ -34,6 +34,10 @@ _FINE = 1e-9
 #: squared are a quarter of the rough tolerance, so that the next linearisation confirms nearly all.
 _CLOSE = 5.0
 
+#: Of more rows a part of so many, thirty times those that a model of hundreds of parameters needs, leads to a start
+#: from where all of them hardly move.
+_MANY = 10_000
+
 #: A parameter at its bound is released if that lowers the sum of squares by more than this.
 _WORTH_RELEASING = 1e-6
 
@@ -96,6 +100,11 @@ class StageSolver:
         self._x = solution.x
         return solution
 
+    def linear_at_start(self) -> LinearProblem:
+        """Return the problem linearised where the first solve would begin, as near its solution."""
+        self._linear = self._problem.linear(self._x)
+        return self._linear
+
     def linear_at(self, stage: Stage) -> LinearProblem:
         """Return the problem linearised at the solution of a stage of one fit (B = 1), or where it hardly differs.
 
@@ -153,10 +162,24 @@ def estimate_with_priors(
     """
     rows = problem.rows
     weighting = Weighting.of(task.cell.repeats, task.robust, rows)
-    solver = StageSolver(problem, task, prior.mean if start is None else start)
-    every_row = np.ones((1, len(rows)), dtype=bool)
-    first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
-    stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting)
+    begin = prior.mean if start is None else start
+    some = rows.evenly(_MANY)
+    if np.all(some) or not weighting.robust or problem.stops is not None:
+        solver = StageSolver(problem, task, begin)
+        every_row = np.ones((1, len(rows)), dtype=bool)
+        first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
+        stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting)
+    else:
+        # Some of the rows lead to where all of them are near their solution: two or three passes find it.
+        part = problem.select(some)
+        solver_of_part = StageSolver(part, task, begin)
+        first = Stage.initial(prior, np.ones((1, len(part.rows)), dtype=bool), len(part.noise))
+        stage, _ = run_stages(first, solver_of_part.linear_at, part.rows.poses, weighting)
+        linear = solver_of_part.linear_at(stage)
+        x, covariance, _ = stage.fit(linear)
+        solver = StageSolver(problem, task, x[0])
+        first = stage.of_all_rows(solver.linear_at_start(), covariance)
+        stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting, near=True)
     solution = solver.solve(stage, _FINE)
     return estimate_at_stage(problem, stage, solution)
 

@@ -236,7 +236,9 @@ class Stage:
             noise[:, c] = np.maximum(by_median, smallest)
         return noise
 
-    def by_likelihood(self, linear: LinearProblem, robust: bool) -> Stage:
+    def by_likelihood(
+        self, linear: LinearProblem, robust: bool, rounds: int = _LIKELIHOOD_ROUNDS
+    ) -> Stage:
         """Return the stage with noise and prior standard deviations of the highest restricted likelihood.
 
         Log noise has a normal prior about 0. Prior standard deviations are estimated if the source of the priors is
@@ -246,10 +248,11 @@ class Stage:
             linear: The linearised problem.
             robust: Whether to give the rows the weights that follow from their scores first; then weights and
                 likelihood are computed in turn.
+            rounds: How often, if so.
         """
         prior = self.prior
         stage = self
-        for _ in range(_LIKELIHOOD_ROUNDS if robust else 1):
+        for _ in range(rounds if robust else 1):
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
             equations = linear.normal_equations(stage.effective, stage.stop_shares)
@@ -282,11 +285,24 @@ class Stage:
         score from which on a row is an outlier. If few degrees of freedom are left, or the weights add up to too small
         a part of a fit's rows (`_MOST_OUTLIERS`), every row that the fit has keeps the weight 1.
         """
-        x, covariance, freedom = self.scoring_fit(linear)
+        return self._weights_by(linear, self.scoring_fit(linear))
+
+    def _weights_by(self, linear: LinearProblem, fit: tuple[Array, Array, Array]) -> Array:
+        """The weights by the scores under a fit: x, (B, p), its covariance, (B, p, p), and degrees of freedom, (B,)."""
+        x, covariance, freedom = fit
         count = np.sum(self.kept, axis=1)
-        scores = linear.scores(x, covariance, self.effective, self.noise)
         limits = Limits.of(count[:, None], freedom[:, None])
-        weights = limits.weights(scores) * self.kept
+        weights = np.empty(self.weights.shape)
+
+        def effective_of(scores: Array, rows: slice) -> Array:
+            """The next effective weights, (B, n), of some of the rows by their scores, (B, n)."""
+            weights[:, rows] = limits.weights(scores) * self.kept[:, rows]
+            return weights[:, rows] * self.repeat_factor[:, rows]
+
+        shared = bool(np.any(self.stop_shares))
+        linear.weigh_by_scores(
+            x, covariance, self.effective, self.noise, effective_of, shared=shared
+        )
         remains_enough = np.sum(weights, axis=1) > (1.0 - _MOST_OUTLIERS) * count
         enough = (freedom > FEWEST_FREEDOM) & remains_enough
         return np.where(enough[:, None], weights, self.kept)
@@ -335,10 +351,36 @@ class Stage:
             return self
         x, covariance, _ = self.fit(linear)
         shares = linear.stops.estimate_shares(
-            linear.columns_of(slice(None)), x - linear.x, covariance, self.effective, self.stop_shares
+            linear.columns_of(slice(None)),
+            x - linear.x,
+            covariance,
+            self.effective,
+            self.stop_shares,
         )
         rounding = self.noise <= _ROUNDING * np.array(linear.smallest_noise)
         return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
+
+    def of_all_rows(self, linear: LinearProblem, covariance: Array) -> Stage:
+        """Return the first stage of a fit to all rows, from that of a fit to some of them as it settled (B = 1).
+
+        Noise and prior standard deviations stay; each row has the weight that follows from its score.
+
+        Args:
+            linear: The problem of all rows, linearised at the solution of this stage.
+            covariance: shape (1, p, p), of this solution.
+        """
+        N = len(linear)
+        every_row = np.ones((1, N), dtype=bool)
+        of_all = replace(
+            self,
+            kept=every_row,
+            weights=np.ones((1, N)),
+            repeat_factor=np.ones((1, N)),
+        )
+        # By all rows the covariance is smaller, as their number is larger.
+        share = np.sum(self.kept, axis=1)[:, None, None] / N
+        fit = linear.x[None], share * covariance, np.array([float(np.sum(linear.used))])
+        return replace(of_all, weights=of_all._weights_by(linear, fit))
 
     def select(self, fits: Integers) -> Stage:
         """Return the stage of n of the B fits, by their indices, shape (n,)."""
@@ -379,6 +421,8 @@ def run_stages(
     linear_at: Callable[[Stage], LinearProblem],
     poses: Integers,
     weighting: Weighting,
+    *,
+    near: bool = False,
 ) -> tuple[Stage, Array]:
     """Estimate weights, noise and prior standard deviations of B fits, until they settle.
 
@@ -387,6 +431,7 @@ def run_stages(
         linear_at: Maps a stage to the problem linearised at its solution; B fits share one linearisation.
         poses: shape (N,), rows of one number are repeats.
         weighting: Treatment of repeats and outliers.
+        near: Whether the first stage is near the last one, as that of some of the rows is: it needs no robust start.
 
     Returns:
         The last stage, and the degrees of freedom of the fits at the first one, shape (B,): if they are few no row
@@ -396,7 +441,7 @@ def run_stages(
     stage = stage.by_repeats(linear, poses, weighting.repeats)
     _, _, freedom = stage.fit(linear)
     robust = weighting.robust and bool(np.any(freedom > FEWEST_FREEDOM))
-    by_likelihood_in_turn = (False, True) if robust else (True,)
+    by_likelihood_in_turn = (False, True) if robust and not near else (True,)
 
     def settle(
         stage: Stage, linear: LinearProblem, by_likelihood: bool
@@ -406,7 +451,9 @@ def run_stages(
         for _ in range(_ROUNDS):
             before = stage.select(moving)
             if by_likelihood:
-                after = before.by_likelihood(linear, robust)
+                # A round is a pass over all rows, of which there are many if the start is near.
+                rounds = 1 if near else _LIKELIHOOD_ROUNDS
+                after = before.by_likelihood(linear, robust, rounds)
                 after = after.by_repeats(linear, poses, weighting.repeats).by_stops(linear)
             else:
                 after = before.by_median(linear)
