@@ -129,6 +129,7 @@ def estimate_jointly(
         kept=weights > 0.0,
         weights=weights,
         repeat_factor=np.ones(weights.shape),
+        row_share=np.ones((len(weights), 1)),
         noise=np.array([estimate.noise]),
         prior_std=np.array([prior_std]),
         stop_shares=estimate.problem.stop_shares[None],

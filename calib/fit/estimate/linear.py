@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from calib.robot.kernel import over_blocks, sum_over_blocks
 
 #: Number of normal equations to cache; stages ask for the same ones again.
 _CACHED = 3
+
+#: Divisor in place of zero.
+_TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,20 +123,17 @@ class LinearProblem(Value):
         Returns:
             shape (N, D) or (B, N, D), in units of each scalar's given sigma.
         """
-        change = x - self.x
+        if not isinstance(self.columns, ComputedColumns):
+            return self.residual_of(x, slice(None))
+        of_blocks = over_blocks(partial(self.residual_of, x), len(self))
+        return np.concatenate(of_blocks, axis=-2)
 
-        def of_block(rows: slice) -> Array:
-            """The residual of some of the rows, (D, n) or (B, D, n)."""
-            columns = self.columns_of(rows)
-            flat = columns.reshape(len(columns), -1)
-            of_rows = flat[-1] - change @ flat[:-1]
-            return np.asarray(of_rows.reshape(*x.shape[:-1], *columns.shape[1:]))
-
-        if isinstance(self.columns, ComputedColumns):
-            residual = np.concatenate(over_blocks(of_block, len(self)), axis=-1)
-        else:
-            residual = of_block(slice(None))
-        return residual.swapaxes(-1, -2)
+    def residual_of(self, x: Array, rows: slice) -> Array:
+        """Return what `residual` returns of some of the rows, shape (n, D) or (B, n, D)."""
+        columns = self.columns_of(rows)
+        flat = columns.reshape(len(columns), -1)
+        residual = flat[-1] - (x - self.x) @ flat[:-1]
+        return np.asarray(residual.reshape(*x.shape[:-1], *columns.shape[1:]).swapaxes(-1, -2))
 
     def select(self, mask: Mask) -> LinearProblem:
         """Return the problem of some of the rows, (N,), in their order, with the same constraints."""
@@ -188,6 +189,12 @@ class LinearProblem(Value):
             )
             if same_shares and np.array_equal(of_weights, weights):
                 return sums
+            if not shares_count and len(of_weights) == len(weights) == 1:
+                # Of weights that are all multiplied by one factor, sums are too.
+                factor = np.sum(weights) / max(float(np.sum(of_weights)), _TINY)
+                if np.allclose(factor * of_weights, weights, rtol=1e-12, atol=0.0):
+                    products, equations = sums
+                    return factor * products, equations.times(factor)
         root_weights = np.sqrt(weights)
         log_det = np.zeros(len(weights))
         of_channels = self._of_channels()
