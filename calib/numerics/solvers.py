@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dtrtrs
+from scipy.linalg.lapack import dgeqrf, dpotrf, dtrtrs
 
 import calib.basics.plugins as plugins
 from calib.basics.arrays import Array
@@ -40,6 +40,9 @@ _HIGHEST_DAMPING = 1e12
 
 #: Columns that LAPACK's QR takes at a time: it needs room for as many. By default it has room for three.
 _QR_BLOCK = 32
+
+#: A matrix of unit diagonal has a Cholesky factor that rounding hardly changes if no entry on its diagonal is smaller.
+_SINGULAR = 1e-6
 
 #: x, shape (p,) -> residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
 System = Callable[[Array], tuple[Array, Array]]
@@ -392,6 +395,24 @@ def triangle(A: Array) -> Array:
         return np.zeros((height, A.shape[1]))
     factored, *_ = dgeqrf(A, lwork=_QR_BLOCK * A.shape[1], overwrite_a=1)
     return np.triu(factored[:height])
+
+
+def upper_root(products: Array) -> Array | None:
+    """Return the upper triangle R of P = R^T R, by Cholesky.
+
+    Args:
+        products: P, shape (n, n), symmetric and positive semidefinite.
+
+    Returns:
+        shape (n, n); None if P is so nearly singular that its rounding counts.
+    """
+    scale = np.sqrt(products.diagonal())
+    if not np.all(scale > 0.0):
+        return None
+    root, failed = dpotrf(products / np.outer(scale, scale), clean=1)
+    if failed or root.diagonal().min() < _SINGULAR:
+        return None
+    return np.asarray(root * scale)
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:

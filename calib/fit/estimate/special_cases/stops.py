@@ -387,7 +387,7 @@ def _number_stops(rows: Rows) -> Integers | None:
     images.
     """
     measured_point = rows.poses  # of one frame, target and corner at one pose
-    if not len(rows) or len(np.unique(measured_point)) == len(np.unique(rows.blocks)):
+    if not len(rows) or _count_numbers(measured_point) == _count_numbers(rows.blocks):
         return None
     # The two poses of a pair are one block.
     pose = same_poses(rows.joints) if np.any(rows.partner >= 0) else rows.blocks
@@ -400,6 +400,11 @@ def _number_stops(rows: Rows) -> Integers | None:
     if not np.any(chosen):
         return None
     return np.where(chosen, stop, -1)
+
+
+def _count_numbers(labels: Integers) -> int:
+    """Return how many different numbers, all >= 0, labels (N,) have."""
+    return int(np.count_nonzero(np.bincount(labels)))
 
 
 def twists_of_bodies(origins: Array, points: Array, stops: Integers, counts: Array) -> Array:
