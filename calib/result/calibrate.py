@@ -124,7 +124,6 @@ def calibrate(
         robust=robust,
         mistake=wrong,
     )
-    begin(Stage.VERDICT)
     drift = None
     if validate and not fits.mistake:
         drift = _found_drift(measured, fits)
@@ -270,7 +269,6 @@ def _assemble_validated(
         name = "" if confirmed is None else str(confirmed.task.model)
         candidates = mark_chosen(fits.candidates, str(fits.geometry.task.model), name)
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
-    begin(Stage.VERDICT)
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
@@ -285,6 +283,7 @@ def _assemble(
     of_nominal: CrossValidation | None = None,
 ) -> Calibration:
     """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts."""
+    begin(Stage.VERDICT)
     m, fitted, all_rows = measurements, fits.geometry, fits.all_rows
     task, estimate = fitted.task, fitted.estimate
     robot, cell = task.robot, task.cell
