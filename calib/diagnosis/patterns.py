@@ -455,7 +455,9 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
     scaled = A / sizes
     squares, directions = np.linalg.eigh(scaled.T @ scaled)
     kept = squares > _WELL_CONDITIONED
-    if np.all(kept | (squares < 0.1 * cut**2)):  # no square is near the cut, where it has few digits
+    if np.all(
+        kept | (squares < 0.1 * cut**2)
+    ):  # no square is near the cut, where it has few digits
         return np.asarray(scaled @ (directions[:, kept] / np.sqrt(squares[kept])))
     vectors, values, _ = np.linalg.svd(scaled, full_matrices=False)
     return np.asarray(vectors[:, values > cut])
