@@ -106,8 +106,6 @@ def prior_std_by_reml(
     last_step = np.zeros_like(logs)
     moving = np.arange(B)  # the fits that have not converged
     for _ in range(_ITERATIONS):
-        if len(moving) < len(data.g):
-            data = data.of_fits(still_moving)
         before = logs[moving]
         priors_of_moving = GaussianPriors(precision[moving], priors.centre)
         score, information = score_and_information(data, members, priors_of_moving, before)
@@ -138,10 +136,11 @@ def prior_std_by_reml(
         converged = change < _CONVERGED
         if only_compared:
             converged |= (change < _NEARLY_CONVERGED) & (rise < _LITTLE_RISE)
-        still_moving = np.flatnonzero(~converged)
-        moving = moving[still_moving]
-        if not len(moving):
+        if np.all(converged):
             break
+        if np.any(converged):
+            still_moving = np.flatnonzero(~converged)
+            moving, data = moving[still_moving], data.of_fits(still_moving)
     values = np.exp(logs)
     return values[:, :C], values[:, C:]
 
