@@ -168,7 +168,8 @@ def score_and_information(
     family_precision = (1.0 / prior_std**2) @ members
     all_priors = GaussianPriors(priors.precision + family_precision, priors.centre)
     mean, covariance = data.posterior(noise, all_priors)
-    HC = (data.H @ covariance[:, None]) / np.square(noise)[:, :, None, None]
+    HC = data.H @ covariance[:, None]
+    HC /= np.square(noise)[:, :, None, None]
     traces = np.trace(HC, axis1=2, axis2=3)  # tr(H_c C) / sigma_c^2
     score = np.empty(logs.shape)
     information = np.empty((*logs.shape, logs.shape[1]))
@@ -195,7 +196,9 @@ def score_and_information(
 
         # I - C / tau^2, by which the data reduce the prior variance, scaled to be symmetric.
         root = np.sqrt(family_precision)
-        reduction = covariance * (-root[:, :, None] * root[:, None])
+        reduction = -root[:, :, None] * root[:, None]
+        reduction *= covariance
         diagonals(reduction)[...] += root > 0.0
-        information[:, C:, C:] = 2.0 * (members @ reduction**2 @ members.T)
+        reduction *= reduction
+        information[:, C:, C:] = 2.0 * (members @ reduction @ members.T)
     return score, information
