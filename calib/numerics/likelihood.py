@@ -176,6 +176,16 @@ class NormalEquations:
             count=self.count - part.count,
         )
 
+    def times(self, factor: float) -> NormalEquations:
+        """Return the equations of rows whose weights are all multiplied by a factor; constraints stay."""
+        return replace(
+            self,
+            H=factor * self.H,
+            g=factor * self.g,
+            yy=factor * self.yy,
+            count=factor * self.count,
+        )
+
     def of_fits(self, which: Integers) -> NormalEquations:
         """Return the equations of some of the B fits, by their indices from 0, shape (b,)."""
         return replace(

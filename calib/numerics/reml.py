@@ -105,6 +105,7 @@ def prior_std_by_reml(
     logs = np.clip(np.log(np.hstack(start)), lowest, highest)
     last_step = np.zeros_like(logs)
     moving = np.arange(B)  # the fits that have not converged
+    still_moving = moving
     for _ in range(_ITERATIONS):
         before = logs[moving]
         priors_of_moving = GaussianPriors(precision[moving], priors.centre)

@@ -15,6 +15,7 @@ from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
+from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
@@ -34,6 +35,7 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.fit.selection.row_weights import compare_weights
+from calib.instruments.internals import with_starts
 from calib.model.error_model import Parameter
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.repeats import scatter_of_repeats
@@ -106,10 +108,13 @@ def calibrate(
     if is_flange_robot(arm.joint_names):
         stated, model = _of_flange_poses(stated, model), None
     measured = measured.without_copies()
-    if arm.mounts:
+    if arm.mounts or stated.cameras:
         rows, setup = rows_and_setup(arm, measured, stated)
-        arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
+        stated = with_starts(stated, measured, rows.samples.internals)
+        if arm.mounts:
+            arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
     measured = numbered_from_one_end(arm, measured, stated)
+    begin(Stage.MISTAKES)
     measured, found, wrong = without_mistakes_of_pictures(arm, stated, measured)
     measured, thinned = with_fewer_corners(measured)
     found += thinned
@@ -122,6 +127,7 @@ def calibrate(
         robust=robust,
         mistake=wrong,
     )
+    begin(Stage.VERDICT)
     drift = patterns = None
     if validate and not fits.mistake:
         patterns = tuple(patterns_in_table(fits.best, measured))
@@ -233,6 +239,7 @@ def _assemble_validated(
     the next candidates are tried, and none stays if none does. One that the user named stays.
     """
     outliers = fits.geometry.estimate.outliers
+    begin(Stage.FOLDS)
 
     def validate(fitted: Fitted, part: int, parts: int) -> CrossValidation:
         """Cross-validate a fit, reported as one of several parts that have as many folds each."""
@@ -274,6 +281,7 @@ def _assemble_validated(
         if confirmed is not chosen:  # the patterns are of another fit
             patterns = None
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
+    begin(Stage.VERDICT)
     if patterns is None:
         patterns = tuple(patterns_in_table(fits.best, measurements))
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)

@@ -92,7 +92,7 @@ def find_doubts(result: Calibration, rows: Rows, patterns: tuple[Reason, ...]) -
         yield from _agreeing_repeats(result, fitted)
         return
     yield from contradicted_values(few, scale)
-    yield from doubtful_views(few)
+    yield from doubtful_views(fitted)
     is_flange = is_flange_robot(result.nominal.joint_names)
     if not is_flange:
         yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))

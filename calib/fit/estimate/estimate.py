@@ -135,7 +135,7 @@ def estimate_at_stage(
         scores = linear.scores(x[None], covariance_for_scores, stage.effective, stage.noise)
         flag_limit = Limits.of(len(problem.rows), freedom[0]).flagged
     else:
-        (x,), scores, flag_limit = means, like.scores[None], like.flag_limit
+        (x,), scores, flag_limit = means, like.scores[None], np.asarray(like.flag_limit)
     if like is None and linear.stops is not None:
         excess = stage.stop_excess(linear, solution.x[None])
         thrown = linear.stops.weights_of_stops(stage.effective) == 0.0
@@ -202,7 +202,7 @@ def _without_traces(problem: Problem, linear: LinearProblem, covariance: Array) 
     traces = of_placements & (np.abs(x) < least)
     result = np.where(traces, 0.0, x)
     if np.any(traces):
-        A = linear.A[linear.used]
+        A = linear.reduced_jacobian()
         removed = A[:, traces] @ x[traces]
         result[of_setup] += np.linalg.lstsq(A[:, of_setup], removed, rcond=_RANK_TOLERANCE)[0]
     return result

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.jobs import one_blas_thread
+from calib.basics.progress import trying
 from calib.basics.values import Value
 from calib.errors import MeasurementError, ModelError
 from calib.fit.estimate.estimate import Estimate
@@ -211,6 +212,7 @@ def fit(
         registered = reference.setup
     task.check_solver()
     model = task.error_model()
+    trying(model.name)
     if task.cell.priors.source == "off" and rows.count < len(model):
         raise MeasurementError(
             f"{rows.count} numbers for {len(model)} parameters, and priors are off. Measure more poses, or choose a "
@@ -238,7 +240,12 @@ def fit(
             means = zip(model.names, prior.mean.tolist(), strict=True)
             start = np.array([known.get(name, mean) for name, mean in means])
         beside = near[0].estimate if only_compared else None
-        estimate = estimate_within_bounds(problem, task, prior, start, beside)
+        # What targets of a stop share is a trait of the robot, and much the same under other models.
+        alike = next(iter((*filter(None, [reference]), *near)), None)
+        shares = None
+        if alike is not None and problem.stops is not None:
+            shares = alike.estimate.problem.stop_shares
+        estimate = estimate_within_bounds(problem, task, prior, start, beside, shares)
         estimate = settle_pose_noise(estimate, problem, task, prior)
     else:
         estimate = paper_estimate(problem, task, registered)

@@ -37,6 +37,10 @@ _CLOSE = 5.0
 #: Message of the solution of a fit that is only compared with others.
 _COMPARED = "Solved as far as the comparison of models needs it."
 
+#: Of more rows a part of so many, thirty times those that a model of hundreds of parameters needs, leads to a start
+#: from where all of them hardly move.
+_MANY = 10_000
+
 #: A parameter at its bound is released if that lowers the sum of squares by more than this.
 _WORTH_RELEASING = 1e-6
 
@@ -110,6 +114,11 @@ class StageSolver:
         """Parameters at which the problem was linearised or solved last, shape (p,)."""
         return self._x
 
+    def linear_at_start(self) -> LinearProblem:
+        """Return the problem linearised where the first solve would begin, as near its solution."""
+        self._linear = self._problem.linear(self._x)
+        return self._linear
+
     def linear_at(self, stage: Stage) -> LinearProblem:
         """Return the problem linearised at the solution of a stage of one fit (B = 1), or where it hardly differs.
 
@@ -153,6 +162,7 @@ def estimate_with_priors(
     prior: PriorTerms,
     start: Array | None = None,
     near: Estimate | None = None,
+    stop_shares: Array | None = None,
 ) -> Estimate:
     """Estimate the parameters, weights, noise and prior standard deviations, without regard to bounds.
 
@@ -165,6 +175,7 @@ def estimate_with_priors(
         near: Estimate of another model of the same rows, with the same weights, with which this one is only compared:
             the solution is as exact as stages need it, and begins near. The restricted likelihood is then that of the
             optimum but for the square of this.
+        stop_shares: shape (C, 3), what the targets of a stop have in common, to begin with; None: nothing.
 
     Returns:
         The estimate, by all rows.
@@ -174,13 +185,28 @@ def estimate_with_priors(
     """
     rows = problem.rows
     weighting = Weighting.of(task.cell.repeats, task.robust, rows)
-    x = prior.mean if start is None else start
-    solver = StageSolver(problem, task, x, near_solution=near is not None)
-    every_row = np.ones((1, len(rows)), dtype=bool)
-    stage = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
-    stage, _ = run_stages(
-        stage, solver.linear_at, rows.poses, weighting, only_compared=near is not None
-    )
+    begin = prior.mean if start is None else start
+    some = rows.evenly(_MANY)
+    if np.all(some) or not weighting.robust or problem.stops is not None:
+        solver = StageSolver(problem, task, begin, near_solution=near is not None)
+        every_row = np.ones((1, len(rows)), dtype=bool)
+        first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
+        if stop_shares is not None:
+            first = replace(first, stop_shares=stop_shares[None])
+        stage, _ = run_stages(
+            first, solver.linear_at, rows.poses, weighting, only_compared=near is not None
+        )
+    else:
+        # Some of the rows lead to where all of them are near their solution: two or three passes find it.
+        part = problem.select(some)
+        solver_of_part = StageSolver(part, task, begin)
+        first = Stage.initial(prior, np.ones((1, len(part.rows)), dtype=bool), len(part.noise))
+        stage, _ = run_stages(first, solver_of_part.linear_at, part.rows.poses, weighting)
+        linear = solver_of_part.linear_at(stage)
+        x, covariance, _ = stage.fit(linear)
+        solver = StageSolver(problem, task, x[0])
+        first = stage.of_all_rows(solver.linear_at_start(), covariance)
+        stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting, near=True)
     if near is None:
         return estimate_at_stage(problem, stage, solver.solve(stage, _FINE))
     solution = Solution(solver.x, np.nan, "converged", _COMPARED, 0, ())
@@ -193,6 +219,7 @@ def estimate_within_bounds(
     prior: PriorTerms,
     start: Array | None = None,
     near: Estimate | None = None,
+    stop_shares: Array | None = None,
 ) -> Estimate:
     """Estimate the parameters within their bounds, by an active set.
 
@@ -206,6 +233,7 @@ def estimate_within_bounds(
         prior: Priors and bounds of the p parameters, none of them held.
         start: shape (p,), parameters where the first solve begins; None: at the means of the priors.
         near: See `estimate_with_priors`.
+        stop_shares: shape (C, 3), what the targets of a stop have in common, to begin with; None: nothing.
 
     Returns:
         The last estimate, with the indices of the parameters that are held at a bound.
@@ -217,7 +245,7 @@ def estimate_within_bounds(
     again = None if near is None else start
     fixed: dict[int, float] = {}
     released: set[int] = set()
-    estimate = estimate_with_priors(problem, task, prior, start, near)
+    estimate = estimate_with_priors(problem, task, prior, start, near, stop_shares)
     for _ in range(_ROUNDS * problem.size):
         is_beyond = (estimate.x < low) | (estimate.x > high)
         beyond = np.flatnonzero(is_beyond).tolist()
@@ -231,7 +259,8 @@ def estimate_within_bounds(
         for k in to_release:
             del fixed[k]
         released |= to_release
-        estimate = estimate_with_priors(problem, task, prior.at_bounds(fixed), again, near)
+        held = prior.at_bounds(fixed)
+        estimate = estimate_with_priors(problem, task, held, again, near, stop_shares)
     return estimate
 
 
