@@ -26,6 +26,12 @@ FALSE_ALARM = 0.003
 #: Directions whose singular value is below this, for columns of norm 1, are not in the range of a matrix.
 _CUT = 1e-6
 
+#: Columns of norm 1 of whose product the eigenvalues are above this are as well made orthogonal by these.
+_WELL_CONDITIONED = 1e-3
+
+#: A column of which more than this share of the square is in a range loses digits when that is taken out.
+_NEARLY_ALONG = 0.99
+
 #: The same limit for differences of regressors between repeats of a pose: joint values repeat to `1e-3` only.
 _CUT_WITHIN = 1e-2
 
@@ -311,11 +317,12 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
     _, first_of_cell = np.unique(cells, return_index=True)
     even = even_factors(A, r, stack.component_of[first_of_cell])
     base = range_of(A * even[:, None])
+    remaining = _beyond(base, r * even)
 
     def test(Z: Array) -> Explained:
         """Test whitened regressors (M, k) by F, on the means of repeats of each pose and component."""
         Z = _means(cells, Z) * even[:, None]
-        return f_test(base, r * even, Z, norms_of(Z))
+        return f_test(base, r * even, Z, norms_of(Z), remaining=remaining)
 
     return test
 
@@ -342,16 +349,26 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
     even = _level(np.bincount(component, r**2, count), freedom)[component]
     A = stack.A * even[:, None]
     base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
+    remaining = _beyond(base, even * r)
 
     def test(Z: Array) -> Explained:
         """Test whitened regressors (M, k) by F, on the differences from the mean of repeats."""
         Z = Z * even[:, None]
-        return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
+        used = int(cells.max()) + 1
+        return f_test(base, even * r, centred(Z), norms_of(Z), used, remaining=remaining)
 
     return test
 
 
-def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Explained:
+def f_test(
+    base: Array,
+    r: Array,
+    Z: Array,
+    sizes: Array,
+    used: int = 0,
+    *,
+    remaining: Array | None = None,
+) -> Explained:
     """Test additional regressors by F.
 
     Args:
@@ -361,28 +378,45 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Expl
         sizes: Their sizes, shape (k,). A column is ignored if less than `_CUT` times its size is orthogonal to the
             base.
         used: Degrees of freedom that were used besides those of the base.
+        remaining: What of r is orthogonal to the base, shape (M,), for tests of many regressors; None: it is computed.
 
     Returns:
         The test; its p is the probability of an F as large if the residual is noise. F is 0 and p is 1 if no column, no
         degree of freedom or no residual is left.
     """
-    remaining = r - base @ (base.T @ r)
-    # Twice is enough to be orthogonal to rounding, if Z almost lies in the range of the base.
-    Z = Z - base @ (base.T @ Z)
-    additional = range_of(Z - base @ (base.T @ Z), sizes)
+    if remaining is None:
+        remaining = _beyond(base, r)
+    products, along = Z.T @ Z, base.T @ Z
+    products_along = along.T @ along
+    is_clear = np.all(products_along.diagonal() < _NEARLY_ALONG * products.diagonal())
+    if is_clear:  # products tell what is orthogonal to the base
+        left = (products - products_along) / (sizes[:, None] * sizes)
+        squares, directions = np.linalg.eigh(left)
+        kept = squares > _WELL_CONDITIONED
+        is_clear = np.all(kept | (squares < 0.1 * _CUT**2))
+    if is_clear:
+        effects = directions[:, kept].T @ (remaining @ Z / sizes) / np.sqrt(squares[kept])
+    else:
+        # Twice is enough to be orthogonal to rounding, if Z almost lies in the range of the base.
+        effects = remaining @ range_of(_beyond(base, _beyond(base, Z)), sizes)
     square = float(remaining @ remaining)
     before = len(r) - base.shape[1] - used
-    columns = additional.shape[1]
+    columns = len(effects)
     freedom = before - columns
     if columns == 0 or freedom < 1 or square <= _ROUNDING**2 * float(r @ r):
         return Explained(0.0, 1.0, 0.0, 0.0, 0, max(before, 0))
-    square_explained = float(np.sum((additional.T @ remaining) ** 2))
+    square_explained = float(np.sum(effects**2))
     share = min(square_explained / square, 1.0)
     # An exact fit leaves nothing to compare with.
     unexplained = max((1.0 - share) / freedom, np.finfo(float).tiny)
     F = share / columns / unexplained
     p = float(fdtrc(columns, freedom, F))
     return Explained(F, p, share, columns / before, columns, freedom)
+
+
+def _beyond(base: Array, values: Array) -> Array:
+    """Return what of values, (M,) or (M, k), is orthogonal to an orthonormal basis, (M, rank)."""
+    return np.asarray(values - base @ (base.T @ values))
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:
@@ -443,7 +477,14 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
         return np.zeros((len(A), 0))
     if sizes is None:
         sizes = norms_of(A)
-    vectors, values, _ = np.linalg.svd(A / sizes, full_matrices=False)
+    scaled = A / sizes
+    squares, directions = np.linalg.eigh(scaled.T @ scaled)
+    kept = squares > _WELL_CONDITIONED
+    if np.all(
+        kept | (squares < 0.1 * cut**2)
+    ):  # no square is near the cut, where it has few digits
+        return np.asarray(scaled @ (directions[:, kept] / np.sqrt(squares[kept])))
+    vectors, values, _ = np.linalg.svd(scaled, full_matrices=False)
     return np.asarray(vectors[:, values > cut])
 
 
@@ -453,6 +494,9 @@ def _means(cells: Integers, values: Array) -> Array:
     ``cells`` has the number, from 0, of each scalar's cell.
     """
     counts = np.bincount(cells)
-    order, starts = np.argsort(cells, kind="stable"), np.cumsum(counts) - counts
+    order = np.argsort(cells, kind="stable")
+    if len(counts) == len(cells):  # nothing is repeated
+        return np.asarray(values[order])
+    starts = np.cumsum(counts) - counts
     sums = np.add.reduceat(values[order], starts, axis=0)
     return np.asarray((sums.T / np.sqrt(counts)).T)

@@ -43,11 +43,18 @@ CONTRADICTED = 5.0
 #: instruments have a hundredth of a robot's repeatability.
 _FAR_ABOVE = 100.0
 
+#: So many rows tell the noise by a larger model to a few percent: if they show that it is not far less, no more are
+#: fitted.
+_TELLING_ROWS = 600
+
+#: By this factor above the limit it surely is not.
+_SURELY = 1.3
+
 #: A target that is estimated farther than this from where it was given was given wrongly [m].
 _ELSEWHERE = 5e-3
 
 
-def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
+def find_doubts(result: Calibration, rows: Rows, patterns: tuple[Reason, ...]) -> Iterator[Reason]:
     """Find the reasons for doubt about a result besides its errors.
 
     They concern the fit of the non-geometric model if the result has one, else that of the geometry.
@@ -55,6 +62,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     Args:
         result: A result in memory, with its measurements and fits.
         rows: The rows that were fitted.
+        patterns: Those in the residuals of that fit, see `patterns_in_table`.
 
     Yields:
         Reasons, each a code with the numbers of its sentence in SI units, in the order of the report.
@@ -85,7 +93,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
         yield from _agreeing_repeats(result, fitted)
         return
     yield from contradicted_values(few, scale)
-    yield from doubtful_views(few)
+    yield from doubtful_views(fitted)
     is_flange = is_flange_robot(result.nominal.joint_names)
     if not is_flange:
         yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
@@ -96,7 +104,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     if _is_named_model(result) and not is_flange:
         yield from _missing_model(few)
     yield from partial_coverage(few)
-    yield from patterns_in_table(fitted, m)
+    yield from patterns
     yield from disagreeing_stations(few)
     yield from flagged_station(fitted)
     yield from _agreeing_repeats(result, fitted)
@@ -212,8 +220,14 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     free = replace(fitted.task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
     for model in ("placement", "+".join(("placement", *not_loaded))):
         task = replace(fitted.task, model=model, cell=free, solver="lm", allow_absent=True)
-        if name.startswith(model) or rows.count < 2 * len(task.error_model()):
+        parameters = len(task.error_model())
+        if name.startswith(model) or rows.count < 2 * parameters:
             continue
+        some = rows.select(rows.evenly(_TELLING_ROWS))
+        if len(some) < len(rows) and some.count >= 4 * parameters:
+            by_some = fit(task, some, registered=fitted.setup).estimate.problem.noise_over_sigma[0]
+            if by_some > _SURELY * FAR_LESS * least:
+                continue
         larger = fit(task, rows, registered=fitted.setup)
         of_larger = float(larger.estimate.problem.noise_over_sigma[0])
         if of_larger <= FAR_LESS * least:

@@ -66,6 +66,11 @@ class TableFits:
     #: Time that choosing a model, registration and estimation took [s]
     seconds: float
 
+    @property
+    def best(self) -> Fitted:
+        """The fit that explains the rows best: of the non-geometric model, or of the geometry if there is none."""
+        return self.non_geometric or self.geometry
+
 
 @one_blas_thread()
 def fit_table(
