@@ -317,11 +317,12 @@ def _between(stack: Stack) -> Callable[[Array], Explained]:
     _, first_of_cell = np.unique(cells, return_index=True)
     even = even_factors(A, r, stack.component_of[first_of_cell])
     base = range_of(A * even[:, None])
+    remaining = _beyond(base, r * even)
 
     def test(Z: Array) -> Explained:
         """Test whitened regressors (M, k) by F, on the means of repeats of each pose and component."""
         Z = _means(cells, Z) * even[:, None]
-        return f_test(base, r * even, Z, norms_of(Z))
+        return f_test(base, r * even, Z, norms_of(Z), remaining=remaining)
 
     return test
 
@@ -348,16 +349,26 @@ def _within(stack: Stack) -> Callable[[Array], Explained]:
     even = _level(np.bincount(component, r**2, count), freedom)[component]
     A = stack.A * even[:, None]
     base = range_of(centred(A), norms_of(A), _CUT_WITHIN)
+    remaining = _beyond(base, even * r)
 
     def test(Z: Array) -> Explained:
         """Test whitened regressors (M, k) by F, on the differences from the mean of repeats."""
         Z = Z * even[:, None]
-        return f_test(base, even * r, centred(Z), norms_of(Z), int(cells.max()) + 1)
+        used = int(cells.max()) + 1
+        return f_test(base, even * r, centred(Z), norms_of(Z), used, remaining=remaining)
 
     return test
 
 
-def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Explained:
+def f_test(
+    base: Array,
+    r: Array,
+    Z: Array,
+    sizes: Array,
+    used: int = 0,
+    *,
+    remaining: Array | None = None,
+) -> Explained:
     """Test additional regressors by F.
 
     Args:
@@ -367,31 +378,45 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Expl
         sizes: Their sizes, shape (k,). A column is ignored if less than `_CUT` times its size is orthogonal to the
             base.
         used: Degrees of freedom that were used besides those of the base.
+        remaining: What of r is orthogonal to the base, shape (M,), for tests of many regressors; None: it is computed.
 
     Returns:
         The test; its p is the probability of an F as large if the residual is noise. F is 0 and p is 1 if no column, no
         degree of freedom or no residual is left.
     """
-    remaining = r - base @ (base.T @ r)
-    along = base.T @ Z
-    if np.any(np.sum(along**2, axis=0) > _NEARLY_ALONG * np.sum(Z**2, axis=0)):
+    if remaining is None:
+        remaining = _beyond(base, r)
+    products, along = Z.T @ Z, base.T @ Z
+    products_along = along.T @ along
+    is_clear = np.all(products_along.diagonal() < _NEARLY_ALONG * products.diagonal())
+    if is_clear:  # products tell what is orthogonal to the base
+        left = (products - products_along) / (sizes[:, None] * sizes)
+        squares, directions = np.linalg.eigh(left)
+        kept = squares > _WELL_CONDITIONED
+        is_clear = np.all(kept | (squares < 0.1 * _CUT**2))
+    if is_clear:
+        effects = directions[:, kept].T @ (remaining @ Z / sizes) / np.sqrt(squares[kept])
+    else:
         # Twice is enough to be orthogonal to rounding, if Z almost lies in the range of the base.
-        Z = Z - base @ along
-        along = base.T @ Z
-    additional = range_of(Z - base @ along, sizes)
+        effects = remaining @ range_of(_beyond(base, _beyond(base, Z)), sizes)
     square = float(remaining @ remaining)
     before = len(r) - base.shape[1] - used
-    columns = additional.shape[1]
+    columns = len(effects)
     freedom = before - columns
     if columns == 0 or freedom < 1 or square <= _ROUNDING**2 * float(r @ r):
         return Explained(0.0, 1.0, 0.0, 0.0, 0, max(before, 0))
-    square_explained = float(np.sum((additional.T @ remaining) ** 2))
+    square_explained = float(np.sum(effects**2))
     share = min(square_explained / square, 1.0)
     # An exact fit leaves nothing to compare with.
     unexplained = max((1.0 - share) / freedom, np.finfo(float).tiny)
     F = share / columns / unexplained
     p = float(fdtrc(columns, freedom, F))
     return Explained(F, p, share, columns / before, columns, freedom)
+
+
+def _beyond(base: Array, values: Array) -> Array:
+    """Return what of values, (M,) or (M, k), is orthogonal to an orthonormal basis, (M, rank)."""
+    return np.asarray(values - base @ (base.T @ values))
 
 
 def even_factors(A: Array, r: Array, component_of: Integers) -> Array:

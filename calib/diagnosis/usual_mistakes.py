@@ -98,6 +98,10 @@ _ALONE = (Why.TARGET_ELSEWHERE, Why.OTHER_TIP)
 #: fifth by chance with a probability of about 1e4 0.2^d: below 1e-3 from here on, though errors are not independent.
 _FEWEST_FREEDOM_OF_PAIR = 12
 
+#: The most joints of which pairs of mistakes are tried: they grow with the fourth power. Of 20 joints there are 30,000,
+#: whose joint values take 300 MB; of 60 there would be 600,000 and 17 GB.
+_MOST_JOINTS_OF_PAIRS = 20
+
 #: Factor on the error of a trial of two mistakes, of which there are thousands.
 _ONE_OF_TWO = 2.0
 
@@ -637,6 +641,8 @@ def _pairs(
     """
     free = _with_unknown_targets(setup)
     if rows.count - free.count < _FEWEST_FREEDOM_OF_PAIR:
+        return
+    if len(robot.inputs) > _MOST_JOINTS_OF_PAIRS:
         return
     plain = Trial(_PLAIN, robot, free, rows, Reason.of(Why.TWO_MISTAKES))
     ranked: list[tuple[float, Trial]] = []

@@ -75,8 +75,8 @@ class NormalEquations:
             The mean x, shape (B, p), and its covariance, shape (B, p, p); both zero along unobservable directions.
         """
         M, scale = self._scaled_precision(noise, priors)
-        inverses = np.array([pseudo_inverse(of_fit) for of_fit in M])
-        covariance = inverses * _outer(scale)
+        covariance = np.array([pseudo_inverse(of_fit) for of_fit in M])
+        covariance *= _outer(scale)
         _, Cz, _ = self.known
         weight = 1.0 / np.square(noise)[:, None]
         right = (weight @ self.g)[:, 0] + Cz
@@ -93,7 +93,8 @@ class NormalEquations:
         M = of_rows.reshape(B, p, p) + CC
         diagonals(M)[...] += priors.precision
         scale = 1.0 / np.sqrt(diagonals(M) + _TINY)
-        return M * _outer(scale), scale
+        M *= _outer(scale)
+        return M, scale
 
     def residual_square(self, x: Array) -> Array:
         """Return the weighted sum of squared residuals of each channel, |y - A x|^2 = y^T W y + (H x - 2 g)^T x.

@@ -107,8 +107,6 @@ def prior_std_by_reml(
     moving = np.arange(B)  # the fits that have not converged
     still_moving = moving
     for _ in range(_ITERATIONS):
-        if len(moving) < len(data.g):
-            data = data.of_fits(still_moving)
         before = logs[moving]
         priors_of_moving = GaussianPriors(precision[moving], priors.centre)
         score, information = score_and_information(data, members, priors_of_moving, before)
@@ -139,10 +137,11 @@ def prior_std_by_reml(
         converged = change < _CONVERGED
         if only_compared:
             converged |= (change < _NEARLY_CONVERGED) & (rise < _LITTLE_RISE)
-        still_moving = np.flatnonzero(~converged)
-        moving = moving[still_moving]
-        if not len(moving):
+        if np.all(converged):
             break
+        if np.any(converged):
+            still_moving = np.flatnonzero(~converged)
+            moving, data = moving[still_moving], data.of_fits(still_moving)
     values = np.exp(logs)
     return values[:, :C], values[:, C:]
 
@@ -170,7 +169,8 @@ def score_and_information(
     family_precision = (1.0 / prior_std**2) @ members
     all_priors = GaussianPriors(priors.precision + family_precision, priors.centre)
     mean, covariance = data.posterior(noise, all_priors)
-    HC = (data.H @ covariance[:, None]) / np.square(noise)[:, :, None, None]
+    HC = data.H @ covariance[:, None]
+    HC /= np.square(noise)[:, :, None, None]
     traces = np.trace(HC, axis1=2, axis2=3)  # tr(H_c C) / sigma_c^2
     score = np.empty(logs.shape)
     information = np.empty((*logs.shape, logs.shape[1]))
@@ -197,7 +197,9 @@ def score_and_information(
 
         # I - C / tau^2, by which the data reduce the prior variance, scaled to be symmetric.
         root = np.sqrt(family_precision)
-        reduction = covariance * (-root[:, :, None] * root[:, None])
+        reduction = -root[:, :, None] * root[:, None]
+        reduction *= covariance
         diagonals(reduction)[...] += root > 0.0
-        information[:, C:, C:] = 2.0 * (members @ reduction**2 @ members.T)
+        reduction *= reduction
+        information[:, C:, C:] = 2.0 * (members @ reduction @ members.T)
     return score, information

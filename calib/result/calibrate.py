@@ -127,7 +127,6 @@ def calibrate(
         robust=robust,
         mistake=wrong,
     )
-    begin(Stage.VERDICT)
     drift = patterns = None
     if validate and not fits.mistake:
         patterns = tuple(patterns_in_table(fits.best, measured))
@@ -281,7 +280,6 @@ def _assemble_validated(
         if confirmed is not chosen:  # the patterns are of another fit
             patterns = None
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
-    begin(Stage.VERDICT)
     if patterns is None:
         patterns = tuple(patterns_in_table(fits.best, measurements))
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
@@ -298,6 +296,7 @@ def _assemble(
     of_nominal: CrossValidation | None = None,
 ) -> Calibration:
     """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts."""
+    begin(Stage.VERDICT)
     m, fitted, all_rows = measurements, fits.geometry, fits.all_rows
     task, estimate = fitted.task, fitted.estimate
     robot, cell = task.robot, task.cell

@@ -10,6 +10,7 @@ from itertools import compress
 import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.progress import Stage, begin
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import FEWEST_FREEDOM, thin
 from calib.diagnosis.computed import ROUNDING_NOISE, computed_measurements
@@ -41,6 +42,13 @@ CONTRADICTED = 5.0
 #: A robot that stops no better than it does explains residuals up to so many times the stated noise: the best
 #: instruments have a hundredth of a robot's repeatability.
 _FAR_ABOVE = 100.0
+
+#: So many rows tell the noise by a larger model to a few percent: if they show that it is not far less, no more are
+#: fitted.
+_TELLING_ROWS = 600
+
+#: By this factor above the limit it surely is not.
+_SURELY = 1.3
 
 #: A target that is estimated farther than this from where it was given was given wrongly [m].
 _ELSEWHERE = 5e-3
@@ -123,6 +131,7 @@ def patterns_in_table(fitted: Fitted, measurements: Measurements) -> Iterator[Re
     Yields:
         A reason for each pattern.
     """
+    begin(Stage.VERDICT)
     few, chosen = thin(fitted)
     in_table = np.flatnonzero(measurements.estimation)[chosen]
     moves = measurements.moves_for(fitted.task.robot.joint_names)[in_table]
@@ -211,8 +220,14 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     free = replace(fitted.task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
     for model in ("placement", "+".join(("placement", *not_loaded))):
         task = replace(fitted.task, model=model, cell=free, solver="lm", allow_absent=True)
-        if name.startswith(model) or rows.count < 2 * len(task.error_model()):
+        parameters = len(task.error_model())
+        if name.startswith(model) or rows.count < 2 * parameters:
             continue
+        some = rows.select(rows.evenly(_TELLING_ROWS))
+        if len(some) < len(rows) and some.count >= 4 * parameters:
+            by_some = fit(task, some, registered=fitted.setup).estimate.problem.noise_over_sigma[0]
+            if by_some > _SURELY * FAR_LESS * least:
+                continue
         larger = fit(task, rows, registered=fitted.setup)
         of_larger = float(larger.estimate.problem.noise_over_sigma[0])
         if of_larger <= FAR_LESS * least:

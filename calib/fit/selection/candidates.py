@@ -86,8 +86,9 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     """List the families of non-geometric errors that the rows can tell from the geometry and from earlier families.
 
     A family that moves no joint differently from row to row is left out, such as compliances if the URDF states no
-    masses, or lost motion if every pose was approached from one side; and one that moves each joint as a family before
-    it does, such as creep if all last moves were of one length.
+    masses, or lost motion if every pose was approached from one side; one that moves each joint as a family before it
+    does, such as creep if all last moves were of one length; and one of more errors than the rows have numbers, which
+    would fit any residuals: those of gravity grow with the square of the joints.
 
     Args:
         task: The fit, with any model.
@@ -100,7 +101,7 @@ def determinable_families(task: Task, rows: Rows) -> tuple[str, ...]:
     patterns: dict[str, Array] = {}
     for family in joint_families():
         terms = joint_parameters(robot, family, task.cell.gravity)
-        if not terms:
+        if not 0 < len(terms) <= rows.count:
             continue
         moves_joints = False
         patterns_on_chains = []

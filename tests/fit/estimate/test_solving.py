@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.data.cell import Cell, Priors
+from calib.fit.estimate.fitting import fit
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.solving import StageSolver, _pulled_inwards, _without_holds
@@ -62,6 +63,36 @@ def test_a_stage_that_does_not_move_the_solution_needs_no_solve(setting):
     assert len(starts) == 1
     solution = solver.solve(replace(stage, weights=weights), 1e-9)
     assert np.linalg.norm((solution.x - moved.x) / 1e-3) < 0.1
+
+
+def test_near_a_solution_no_solve_is_needed_however_far_it_moves(setting):
+    """Two linear fits agree, though the first moves by more steps than a stage may without a solve."""
+    problem, task, prior, stage, starts = setting
+    solution = StageSolver(problem, task, prior.mean).solve(stage, 1e-9)
+    del starts[:]
+    start = solution.x + 6e-3 / np.sqrt(len(solution.x))
+    near = StageSolver(problem, task, start, near_solution=True)
+    linear = near.linear_at(stage)
+    assert not starts
+    np.testing.assert_array_equal(linear.x, near.x)
+    assert np.linalg.norm((near.x - solution.x) / 1e-3) < 0.1
+    StageSolver(problem, task, start).linear_at(stage)
+    assert len(starts) == 1
+
+
+def test_an_estimate_that_is_only_compared_has_the_likelihood_of_the_optimum(make_scene):
+    """And the other one's scores and weights."""
+    scene = make_scene(2, frames=[np.eye(4)], targets=1, noise=1e-4)
+    task, rows = task_of(scene, scene.points(COUNT), Cell(model="dh"))
+    reference = fit(replace(task, model="dh+gain"), rows)
+    settled = fit(task, rows, reference=reference)
+    compared = fit(task, rows, reference=reference, near=(reference,), only_compared=True)
+    expected = settled.estimate.log_likelihood
+    assert compared.estimate.log_likelihood == pytest.approx(expected, abs=2e-2)
+    np.testing.assert_array_equal(compared.estimate.scores, reference.estimate.scores)
+    np.testing.assert_array_equal(compared.estimate.weights, reference.estimate.weights)
+    std = np.sqrt(np.diag(settled.estimate.covariance))
+    assert np.all(np.abs(compared.estimate.x - settled.estimate.x) < 0.2 * std)
 
 
 def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_scene):

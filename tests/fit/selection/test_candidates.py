@@ -66,6 +66,15 @@ def test_families_that_move_no_joint_are_not_listed(task_and_rows):
     assert "gain" in determinable_families(task, unloaded)
 
 
+def test_families_of_more_errors_than_the_rows_have_numbers_are_not_listed(task_and_rows):
+    """Three points are nine numbers: fewer than the ten masses, more than the six gains."""
+    task, rows = task_and_rows
+    listed = determinable_families(task, rows.select(np.arange(20) < 3))
+    assert "gravity" not in listed
+    assert "gain" in listed
+    assert "gravity" in determinable_families(task, rows.select(np.arange(20) < 4))
+
+
 def test_lost_motion_needs_both_sides_and_creep_moves_of_several_lengths(task_and_rows):
     task, rows = task_and_rows
     random = np.random.default_rng(5)
