@@ -165,19 +165,20 @@ def score_and_information(
         shape (B, C + K, C + K).
     """
     C = data.g.shape[1]
-    noise, prior_std = np.split(np.exp(logs), [C], axis=1)
+    values = np.exp(logs)
+    noise, prior_std = values[:, :C], values[:, C:]
     family_precision = (1.0 / prior_std**2) @ members
     all_priors = GaussianPriors(priors.precision + family_precision, priors.centre)
     mean, covariance = data.posterior(noise, all_priors)
     HC = data.H @ covariance[:, None]
     HC /= np.square(noise)[:, :, None, None]
+    B, _, p, _ = HC.shape
+    flat = HC.reshape(B, C, p * p)
     traces = np.trace(HC, axis1=2, axis2=3)  # tr(H_c C) / sigma_c^2
     score = np.empty(logs.shape)
     information = np.empty((*logs.shape, logs.shape[1]))
     score[:, :C] = data.residual_square(mean) / np.square(noise) + traces - data.count
     # Of log noise: 2 tr(H_c C H_d C) / (sigma_c sigma_d)^2, and 2 (N_c - 2 tr(H_c C) / sigma_c^2) more on the diagonal.
-    B, _, p, _ = HC.shape
-    flat = HC.reshape(B, C, p * p)
     flat_transposed = HC.swapaxes(2, 3).reshape(B, C, p * p)
     of_noise = 2.0 * (flat @ flat_transposed.swapaxes(1, 2))
     diagonals(of_noise)[...] += 2.0 * (data.count - 2.0 * traces)
@@ -186,8 +187,9 @@ def score_and_information(
         squares = (mean**2 + diagonals(covariance)) @ members.T
         score[:, C:] = squares / prior_std**2 - members.sum(axis=1)
         # The density that is divided out for a combination that is held.
-        held = data.held_variance(family_precision)
-        score[:, C:] += (held @ members.T) / (1.0 + held.sum(axis=1, keepdims=True))
+        if data.held.any():
+            held = data.held_variance(family_precision)
+            score[:, C:] += (held @ members.T) / (1.0 + held.sum(axis=1, keepdims=True))
 
         # Of log noise with log prior standard deviation: 2 sum_k (C H_c C)_kk / (sigma_c tau_f)^2.
         diagonal = (covariance[:, None] * HC.swapaxes(2, 3)).sum(axis=3)

@@ -36,6 +36,9 @@ _CARRIED = 1e-4
 #: Smallest 1 - w K along a direction: only by rounding does K exceed 1 / w.
 _LEAST_LEFT = 1e-9
 
+#: Entries of Jacobians, carried over by the covariances of several fits, that are in memory at a time.
+_AT_A_TIME = 262_144
+
 #: Number of scalars of a point, to which all scores are converted.
 _POINT = 3
 
@@ -102,14 +105,19 @@ def deleted_norms(
     flat = jacobian.reshape(p, D * N)
     every_factor = np.broadcast_to(factors, residual.shape)
     norms = np.empty(weights.shape)
-    for b, of_fit in enumerate(covariance):
-        carried = (of_fit @ flat).reshape(p, D, N)
-        K = np.empty((D, D, N))
+    together = max(_AT_A_TIME // max(flat.size, 1), 1)
+    for first in range(0, len(covariance), together):
+        fits = slice(first, first + together)
+        factor = every_factor[fits].swapaxes(0, 1)
+        carried = (covariance[fits] @ flat).reshape(-1, p, D, N)
+        K = np.empty((D, D, len(carried), N))
         for i in range(D):
             for j in range(i + 1):
-                products = np.einsum("pn,pn->n", carried[:, i], jacobian[:, j])
-                K[i, j] = K[j, i] = products * every_factor[b, i] * every_factor[b, j]
-        norms[b] = _norms_by_leverage(residual[b] * every_factor[b], K, weights[b])
+                products = np.einsum("bpn,pn->bn", carried[:, :, i], jacobian[:, j])
+                K[i, j] = K[j, i] = products * factor[i] * factor[j]
+        whitened = (residual[fits].swapaxes(0, 1) * factor).reshape(D, -1)
+        of_rows = _norms_by_leverage(whitened, K.reshape(D, D, -1), weights[fits].ravel())
+        norms[fits] = of_rows.reshape(-1, N)
     return norms
 
 

@@ -41,6 +41,10 @@ _COMPARED = "Solved as far as the comparison of models needs it."
 #: from where all of them hardly move.
 _MANY = 10_000
 
+#: The first stage of a candidate, with priors as given, may be as far from the solution of a similar fit where it is
+#: linearised: the stages that follow are nearer, or linearised anew.
+_NEAR = 1.0
+
 #: A parameter at its bound is released if that lowers the sum of squares by more than this.
 _WORTH_RELEASING = 1e-6
 
@@ -72,6 +76,7 @@ class StageSolver:
         # At the solution of the last stage
         self._linear: LinearProblem | None = problem.linear(start) if near_solution else None
         self._close = np.inf if near_solution else _CLOSE
+        self._enough = _NEAR if near_solution else _ROUGH
 
     def solve(self, stage: Stage, tolerance: float) -> Solution:
         """Solve the problem with the weights, noise and priors of a stage, from where the last solve stopped.
@@ -135,7 +140,8 @@ class StageSolver:
 
         if self._linear is not None:
             x, moved = step_to_solution(self._linear, self._x)
-            if moved <= _ROUGH:  # the linearisation is off by its square: by 1e-8 m and rad
+            enough, self._enough = self._enough, _ROUGH
+            if moved <= enough:  # the linearisation is off by its square: by 1e-8 m and rad
                 return self._linear
             if moved <= self._close:
                 # A step as short as this, or from a similar fit, needs no damping, if the next one confirms it.

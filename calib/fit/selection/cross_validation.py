@@ -32,6 +32,7 @@ from calib.fit.selection.folds import (
     held_out_residual,
     residual_after_registration,
     seen_only_by,
+    with_all_of_a_place,
 )
 from calib.numerics.errors import CrossValidation
 from calib.numerics.likelihood import GaussianPriors, diagonals
@@ -155,9 +156,10 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     folds = Folds.of_task(fitted.task, rows)
     means = fold_posterior_means(fitted, linear, folds.masks)
     standardised = np.zeros(rows.used.shape)
-    for mask, x in zip(folds.masks, means, strict=True):
+    alone = with_all_of_a_place(rows, np.array(folds.masks))
+    for mask, x, is_alone in zip(folds.masks, means, alone, strict=True):
         part = linear.select(mask)
-        unseen = seen_only_by(fitted, mask)
+        unseen = seen_only_by(fitted, mask) if is_alone else np.zeros(len(x), dtype=bool)
         if np.any(unseen):
             # Parameters that only these rows see are fitted to them; a row without weight must not move the frame.
             row, _ = np.nonzero(part.used)
@@ -198,19 +200,25 @@ def fold_posterior_means(
     (mean,), (covariance,) = of_all.posterior(noise, priors)
     means = np.empty((len(masks), len(mean)))
     is_small = np.sum(masks, axis=1) * linear.used.shape[1] < len(mean)
+    done = np.zeros(len(masks), dtype=bool)
     if np.any(is_small):  # then few rows are to be whitened
+        # With the whitened rows of the fold, x = x_all - C A^T (1 - A C A^T)^-1 r; folds of one size together.
         whiten = np.sqrt(problem.weights)[:, None] / linear.noise_by_scalar(noise)[0]
         A = linear.A * whiten[:, :, None]
         AC = A @ covariance
         r = linear.residual(mean) * whiten
-    for k, mask in enumerate(masks):
-        if is_small[k]:
-            # With the whitened rows of the fold, x = x_all - C A^T (1 - A C A^T)^-1 r.
-            A_fold, AC_fold = (M[mask].reshape(-1, len(mean)) for M in (A, AC))
-            left = np.eye(len(A_fold)) - AC_fold @ A_fold.T
-            if np.linalg.eigvalsh(left)[0] > _LEFT_TO_OTHERS:
-                means[k] = mean - np.linalg.solve(left, r[mask].ravel()) @ AC_fold
-                continue
+        sizes = np.sum(masks, axis=1)
+        for size in np.unique(sizes[is_small]).tolist():
+            chosen = np.flatnonzero(sizes == size)
+            rows = np.nonzero(masks[chosen])[1].reshape(-1, size)
+            A_folds, AC_folds = (M[rows].reshape(len(chosen), -1, len(mean)) for M in (A, AC))
+            left = np.eye(A_folds.shape[1]) - AC_folds @ A_folds.swapaxes(1, 2)
+            settled = np.linalg.eigvalsh(left)[:, 0] > _LEFT_TO_OTHERS
+            shares = np.linalg.solve(left[settled], r[rows[settled]].reshape(-1, left.shape[1], 1))
+            means[chosen[settled]] = mean - np.sum(shares * AC_folds[settled], axis=1)
+            done[chosen[settled]] = True
+    for k in np.flatnonzero(~done).tolist():
+        mask = masks[k]
         fold = linear.select(mask)
         of_fold = fold.normal_equations(problem.weights[None, mask], problem.stop_shares)
         of_others = of_all.without(of_fold)
