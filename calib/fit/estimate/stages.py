@@ -393,14 +393,15 @@ class Stage:
         rounding = self.noise <= _ROUNDING * np.array(linear.smallest_noise)
         return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
 
-    def of_all_rows(self, linear: LinearProblem, covariance: Array) -> Stage:
+    def of_all_rows(self, linear: LinearProblem, covariance: Array, *, robust: bool) -> Stage:
         """Return the first stage of a fit to all rows, from that of a fit to some of them as it settled (B = 1).
 
-        Noise and prior standard deviations stay; each row has the weight that follows from its score.
+        Noise and prior standard deviations stay.
 
         Args:
             linear: The problem of all rows, linearised at the solution of this stage.
             covariance: shape (1, p, p), of this solution.
+            robust: Whether each row has the weight that follows from its score, or 1.
         """
         N = len(linear)
         every_row = np.ones((1, N), dtype=bool)
@@ -410,6 +411,8 @@ class Stage:
             weights=np.ones((1, N)),
             repeat_factor=np.ones((1, N)),
         )
+        if not robust:
+            return of_all
         # By all rows the covariance is smaller, as their number is larger.
         share = np.sum(self.kept, axis=1)[:, None, None] / N
         fit = linear.x[None], share * covariance, np.array([float(np.sum(linear.used))])

@@ -184,7 +184,7 @@ class Rows:
             Of the same shape as the values, without unit.
         """
         by_row = values.reshape(len(self), self.width, -1)
-        result = np.divide(by_row, self.scales[:, :, None], out=out)
+        result = np.multiply(by_row, (1.0 / self.scales)[:, :, None], out=out)
         if self._correlated is not None:
             chosen, W = self._correlated.rows, self._correlated.W
             result[chosen, :POSE] = W @ by_row[chosen, :POSE]
@@ -266,9 +266,8 @@ class Rows:
             count = len(range(*which.indices(len(self))))
             is_whole = count == len(self) and which.step in (None, 1)
         else:
-            every = np.arange(len(self))
-            chosen = every[which]
-            is_whole = np.array_equal(chosen, every)
+            chosen = np.flatnonzero(which) if np.asarray(which).dtype == bool else which
+            is_whole = len(chosen) == len(self) and np.array_equal(chosen, np.arange(len(self)))
         if is_whole:
             return self
         partner = self.partner[chosen]

@@ -238,7 +238,9 @@ def held_out_residuals_linear(
         if not within or not _is_linear(fitted, linear_there, x, mask):
             continue
 
-        residuals[k] = estimate.problem.residual(x)[mask]
+        held_out_rows = rows.select(mask)
+        seen = fitted.kinematics.sightings(x, held_out_rows.samples)
+        residuals[k] = held_out_rows.residual(seen)
         if np.any(seen_only_by(fitted, mask)):
             # Frames and targets that only the fold sees are registered to its rows.
             without_fold = replace(fitted, estimate=replace(estimate, x=x))
@@ -251,10 +253,17 @@ def _is_linear(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> b
 
     Kept are the rows with a weight outside of the fold, a mask (N,).
     """
-    problem, rows = fitted.estimate.problem, fitted.estimate.problem.rows
-    difference = (rows.in_units(linear.residual(x)) - problem.residual(x)) / problem.scales
-    kept = rows.used & (~mask & (fitted.estimate.weights > 0.0))[:, None]
-    return bool(np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR)
+    problem = fitted.estimate.problem
+    counts = ~mask & (fitted.estimate.weights > 0.0)
+    some = problem.rows.evenly(ENOUGH)  # for one mean
+    rows = problem.rows.select(some)
+    if not np.all(some):
+        linear = linear.select(some)
+    by_robot = rows.residual(fitted.kinematics.sightings(x, rows.samples))
+    by_linear = rows.in_units(linear.residual(x)[:, : rows.width])
+    kept = rows.used & counts[some, None]
+    difference = ((by_linear - by_robot) / rows.scales_at(problem.noise))[kept]
+    return bool(np.sqrt(np.mean(difference**2)) < _LINEAR)
 
 
 def _hardly_changes(fitted: Fitted, masks: Mask) -> bool:
