@@ -384,6 +384,10 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
 
 T = TypeVar("T")
 
+# The C library gives large blocks back to the system at once, and clearing their pages anew takes longer than a fit,
+# until it has seen a block of up to 32 MB freed: then it keeps as much for the next. This one is never written to.
+np.empty(2**25 - 2**16, dtype=np.uint8)
+
 #: Samples of one block: with fewer, NumPy's calls take longer than the arithmetic; what more need leaves the cache.
 BLOCK = 4096
 
