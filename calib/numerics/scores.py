@@ -100,16 +100,13 @@ def deleted_norms(
     """
     p, D, N = jacobian.shape
     flat = jacobian.reshape(p, D * N)
-    every_factor = np.broadcast_to(factors, residual.shape)
     norms = np.empty(weights.shape)
     for b, of_fit in enumerate(covariance):
+        factor = factors[b if len(factors) > 1 else 0]
         carried = (of_fit @ flat).reshape(p, D, N)
-        K = np.empty((D, D, N))
-        for i in range(D):
-            for j in range(i + 1):
-                products = np.einsum("pn,pn->n", carried[:, i], jacobian[:, j])
-                K[i, j] = K[j, i] = products * every_factor[b, i] * every_factor[b, j]
-        norms[b] = _norms_by_leverage(residual[b] * every_factor[b], K, weights[b])
+        K = np.einsum("pin,pjn->ijn", carried, jacobian)
+        K *= factor[:, None] * factor
+        norms[b] = _norms_by_leverage(residual[b] * factor, K, weights[b])
     return norms
 
 
@@ -127,7 +124,9 @@ def _norms_by_leverage(r: Array, K: Array, w: Array) -> Array:
         safe = K.copy()
         safe[:, :, risky] = 0.0
     spread = (1.0 - 2.0 * w) * safe
-    spread -= (w * (1.0 - w)) * np.einsum("ikn,kjn->ijn", safe, safe)
+    mixed = w * (1.0 - w)
+    if mixed.any():
+        spread -= mixed * np.einsum("ikn,kjn->ijn", safe, safe)
     np.einsum("iin->in", spread)[...] += 1.0
     square = _quadratic_forms(spread, r.copy())
     if len(risky):

@@ -137,12 +137,12 @@ class Motion:
         has_share = np.zeros(directions.placements.shape[2], dtype=bool)
         for body, twists_of_body in zip(numbers, bodies, strict=True):
             moving = twists_of_body.any(axis=0)
-            # Those of one kind, which are nearly always neighbours, can be written to in one piece.
-            for is_again in (False, True):
-                chosen = np.flatnonzero(moving & (has_share == is_again))
-                if len(chosen):
-                    twists_of_chosen = np.ascontiguousarray(twists_of_body[:, chosen].T)
-                    shares.append(_Share(body, _run(chosen), twists_of_chosen, is_again))
+            again = moving & has_share
+            for chosen, adds in ((moving & ~again, False), (again, True)):
+                if chosen.any():
+                    which = np.flatnonzero(chosen)
+                    of_these = np.ascontiguousarray(twists_of_body[:, which].T)
+                    shares.append(_Share(body, _run(which), of_these, adds))
             has_share |= moving
         object.__setattr__(self, "_steps", _steps(geometry))
         object.__setattr__(self, "_shares", tuple(shares))

@@ -48,7 +48,7 @@ _SMALLEST_SIGMA = 1e-8
 _MOST_KEPT = 2**23
 
 #: Up to so many rows a solver gets every scalar; of more it gets a triangle of the same squares.
-_TALL = 1024
+_TALL = 256
 
 #: Divisor in place of a distance of zero [m].
 _SHORTEST = 1e-12
@@ -220,6 +220,8 @@ class Problem(Value):
             return self._last[0]
         self._last.clear()  # before the next one is made, for memory
         rows = self.rows
+        if rows.samples.load is not None and not self.kinematics.model.depends_on_loads:
+            rows = replace(rows, samples=replace(rows.samples, load=None))  # not to be copied
         rotation = rows.depends_on_orientation
         shape = (self.size + 1, rows.width, len(rows))
 

@@ -20,6 +20,7 @@ from calib.fit.registration.labels import joined_stations
 from calib.fit.registration.registration import register_all_rows
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
+from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.neighbours import along_path
 
@@ -246,9 +247,9 @@ def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:
         True for the parameters of frames and targets that none of the other rows sees, shape (p,).
     """
     samples = fitted.estimate.problem.rows.samples
-    others = samples.select(~chosen)
+    places_alone = Samples(samples.q[:, :0], samples.frame, samples.target)
     frames, targets = fitted.setup.places
-    frames_seen, targets_seen = fitted.setup.seen_by(others)
+    frames_seen, targets_seen = fitted.setup.seen_by(places_alone.select(~chosen))
     unseen_frames = compress(frames, ~frames_seen)
     unseen_targets = compress(targets, ~targets_seen)
     unseen = {*unseen_frames, *unseen_targets}
