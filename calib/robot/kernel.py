@@ -11,8 +11,11 @@ parameters is prepared once, in `Motion`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from multiprocessing import parent_process
 from typing import TypeVar
 
 import numpy as np
@@ -392,17 +395,30 @@ np.empty(2**25 - 2**16, dtype=np.uint8)
 BLOCK = 4096
 
 
-def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
+#: Up to so many blocks are worked off by one thread: to start others takes as long as one of them.
+_FEW_BLOCKS = 8
+
+#: Threads of many blocks: memory does not feed more of them.
+_THREADS = 2
+
+
+def over_blocks(work: Callable[[slice], T], count: int, *, in_threads: bool = False) -> list[T]:
     """Call a function for each block of samples, so that what it computes stays in the processor's cache.
 
     Args:
         work: Function of the slice of one block's samples.
         count: Number of all samples.
+        in_threads: Whether it may be called for several blocks at a time. Only the main process does so: its workers
+            have the other cores.
 
     Returns:
-        Its results, block by block.
+        Its results, block by block, whatever the number of threads.
     """
-    return [work(slice(k, min(k + BLOCK, count))) for k in range(0, count, BLOCK)]
+    blocks = [slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
+    if not in_threads or len(blocks) <= _FEW_BLOCKS or parent_process() is not None:
+        return [work(block) for block in blocks]
+    with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as threads:
+        return list(threads.map(work, blocks))
 
 
 def sum_over_blocks(work: Callable[[slice], Array], count: int) -> Array:
@@ -410,4 +426,4 @@ def sum_over_blocks(work: Callable[[slice], Array], count: int) -> Array:
 
     Blocks are added in their order.
     """
-    return np.asarray(np.sum(over_blocks(work, count), axis=0))
+    return np.asarray(np.sum(over_blocks(work, count, in_threads=True), axis=0))

@@ -125,7 +125,7 @@ class LinearProblem(Value):
         """
         if not isinstance(self.columns, ComputedColumns):
             return self.residual_of(x, slice(None))
-        of_blocks = over_blocks(partial(self.residual_of, x), len(self))
+        of_blocks = over_blocks(partial(self.residual_of, x), len(self), in_threads=True)
         return np.concatenate(of_blocks, axis=-2)
 
     def residual_of(self, x: Array, rows: slice) -> Array:
@@ -281,8 +281,9 @@ class LinearProblem(Value):
             shape (B, N), >= 0, in standard deviations. Rows of more or fewer scalars are scored by what three scalars
             of the same probability would have.
         """
-        scored = over_blocks(self._scorer(x, covariance, weights, noise), len(self))
-        return np.concatenate([scores for scores, _ in scored], axis=1)
+        score = self._scorer(x, covariance, weights, noise)
+        scored = over_blocks(lambda rows: score(rows)[0], len(self), in_threads=True)
+        return np.concatenate(scored, axis=1)
 
     def weigh_by_scores(
         self,
