@@ -94,7 +94,10 @@ class Weighting:
             rows: N rows of measurements.
         """
         if rows.weights is None:
-            return cls(repeats, robust, 1.0, along_path(rows.joints))
+            if along_path(rows.joints):
+                # What looks like repeats are neighbours where the arm was slow.
+                return cls("independent", robust, 1.0, along_path=True)
+            return cls(repeats, robust, 1.0)
         return cls("independent", False, rows.weights)
 
 
@@ -334,10 +337,12 @@ class Stage:
         Returns:
             The stage with a new `repeat_factor`; itself if no pose has repeats, or they are independent.
         """
+        if mode == "independent":
+            return self
         number = int(poses.max()) + 1
         alive = self.weights > 0.0
         counts = np.array([np.bincount(poses[rows], minlength=number)[poses] for rows in alive])
-        if mode == "independent" or np.max(counts) < 2:
+        if np.max(counts) < 2:
             return self
         rho = np.ones(len(alive))
         if mode == "weighted":
