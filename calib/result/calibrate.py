@@ -38,6 +38,7 @@ from calib.fit.selection.row_weights import compare_weights
 from calib.instruments.internals import with_starts
 from calib.model.error_model import Parameter
 from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.neighbours import along_path
 from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
@@ -469,7 +470,8 @@ def _noise(measurements: Measurements, fitted: Fitted) -> Noise:
             stated.pop(unit, None)
 
     repeats = None
-    if len(np.unique(rows.poses)) < len(rows):
+    # Along a path rows where the arm was slow look like repeats, and are neighbours with much the same error.
+    if not along_path(rows.joints) and len(np.unique(rows.poses)) < len(rows):
         # The scalars' worth of information that the parameters have taken.
         paid = float(np.sum(estimate.problem.weights @ rows.used)) - estimate.freedom
         residual = fitted.residual(rows)
