@@ -61,8 +61,6 @@ class Camera(Value):
     #: Standard deviation of each, in its unit, shape (m,): 0 for one that is exact, `UNKNOWN` for one that is not
     #: known. None: the default for a camera whose intrinsics are given, see `calib.camera.lenses.Lens.default_sigma`.
     sigma: Array | None = None
-    #: Intrinsics, in the same order, from which a fit begins if none are given; None: it finds them in the images.
-    start: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the image's size, the lens and the intrinsics (`CalibError`), and keep read-only copies of these."""
@@ -141,7 +139,7 @@ class Camera(Value):
         The centre of a lens is near the middle of its images. If it is not, but is off by the same factor along both
         axes, the intrinsics are those of another resolution.
         """
-        if self.values is None:
+        if self.values is None or (self.sigma is not None and np.all(self.sigma == UNKNOWN)):
             return None
         size = np.array([self.width, self.height])
         factors = (2.0 * self.values[2:4] + 1.0) / size

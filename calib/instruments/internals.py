@@ -14,7 +14,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask, numbered, read_only
 from calib.boards.board import BODY, Board
 from calib.camera import optics
-from calib.camera.camera import Camera
+from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.initial_intrinsics import initial_intrinsics
 from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
@@ -140,7 +140,7 @@ def initial_internals(
 
 
 def with_starts(cell: Cell, measurements: Measurements, internals: Array | None) -> Cell:
-    """Return the cell with cameras of unknown intrinsics that say where a fit of them begins.
+    """Return the cell with the intrinsics from which fits begin for cameras that have none, as numbers not known.
 
     Args:
         cell: The cell as given.
@@ -155,8 +155,8 @@ def with_starts(cell: Cell, measurements: Measurements, internals: Array | None)
         of_camera = groups == name if name else ~np.isin(groups, list(cell.cameras))
         rows = np.flatnonzero(measurements.is_image & of_camera)
         if camera.values is None and len(rows):
-            columns = optics.intrinsic_columns(LENSES[camera.lens])
-            cameras[name] = replace(camera, start=read_only(internals[rows[0], columns]))
+            start = internals[rows[0], optics.intrinsic_columns(LENSES[camera.lens])]
+            cameras[name] = replace(camera, values=start, sigma=np.full(len(start), UNKNOWN))
     return replace(cell, cameras=cameras)
 
 
@@ -267,14 +267,13 @@ def _camera_numbers(
     """
     lens = LENSES[camera.lens]
     widest = np.array([_WIDE[unit] for unit in lens.units])
-    start = camera.start if camera.values is None else camera.values
+    start = camera.values
     if start is None:
         views = []
         for number in np.unique(view).tolist():
             of_view = view == number
             views.append((points[of_view], pixels[of_view]))
         start = initial_intrinsics(camera, views)
-    if camera.values is None:
         sigma = widest
     elif camera.sigma is None:
         sigma = lens.default_sigma(start, camera.width)
