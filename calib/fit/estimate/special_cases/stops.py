@@ -200,16 +200,20 @@ class Stops:
             w = weights[stops.rows]
             weight_of_cell = np.maximum(np.add.reduceat(w, stops._first_row), TINY)
             root_share = np.sqrt(w / weight_of_cell[stops._cell_of_row])
-            Y = columns[:, :, stops.rows]
             for c in channels:
-                means, independent, of_channel = stops._independent_means(Y, w, c, rho[c])
                 if not stops._has_repeats and np.all(stops.channel == c):
-                    result[:, :, stops.rows] = independent
-                else:
-                    change = independent - means
-                    if stops._has_repeats:
-                        change = change[:, :, stops._cell_of_row] * root_share
-                    result[:, :, stops.rows] += change
+                    # The rows are the cells, and all of their scalars count: they need not be copied first.
+                    _, J, count = stops._means(columns[:0, :, stops.rows], w, c)
+                    N = columns.shape[2]
+                    place = N * np.arange(columns.shape[1])[:, None] + stops.rows
+                    log_det += stops._make_independent(result, place.ravel(), J, count, rho[c])
+                    continue
+                Y = columns[:, :, stops.rows]
+                means, independent, of_channel = stops._independent_means(Y, w, c, rho[c])
+                change = independent - means
+                if stops._has_repeats:
+                    change = change[:, :, stops._cell_of_row] * root_share
+                result[:, :, stops.rows] += change
                 log_det += of_channel
         return result, log_det
 
@@ -310,24 +314,36 @@ class Stops:
         (n,), of the channel of index c, and rho, (3,), are the shares of the channel's variance; see `_means`.
         """
         means, J, count = self._means(Y, weights, c)
+        independent = means.copy()
+        log_det = self._make_independent(independent, np.arange(count.size), J, count, rho)
+        return means, independent, log_det
+
+    def _make_independent(
+        self, columns: Array, place: Integers, J: Array, count: Array, rho: Array
+    ) -> float:
+        """Multiply columns, (q, D, N), by K^-1/2 in place, and return log det K over all stops.
+
+        Of a scalar in (D, M), flat, ``place`` is the index in (D, N), flat. J, (d, D, M), and the numbers (D, M) are
+        those of `_means`.
+        """
         kappa = unshared(rho)
         root = np.sqrt(kappa)
         G = (J * (root_shares(rho, len(J)) / root)[:, None, None]).reshape(len(J), -1)
-        flat = means.reshape(len(means), -1)
-        independent = np.empty(flat.shape)
+        flat = columns.reshape(len(columns), -1)
         log_det = float(np.sum(count)) * np.log(kappa)
         for _, scalars in self._batches:
             of_stops = G[:, scalars].transpose(1, 0, 2)
             squares, Q = np.linalg.eigh(of_stops @ transposed(of_stops))
             s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
-            X = flat[:, scalars]
+            at = place[scalars]
+            X = flat[:, at]
             sums = of_stops @ X.transpose(1, 2, 0)
             shared = (Q / (s + s**2)) @ (transposed(Q) @ sums)  # (S, d, q)
             X -= (transposed(shared) @ of_stops).transpose(1, 0, 2)
             X /= root
-            independent[:, scalars] = X
+            flat[:, at] = X
             log_det += 2.0 * float(np.sum(np.log(s)))
-        return means, independent.reshape(means.shape), log_det
+        return log_det
 
     def _means(self, Y: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
         """Average one channel's scalars over M cells: columns, (q, D, M), J, (d, D, M), and their number, (D, M).
