@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperCommand
 
 from calib.cli.exit_status import ExitStatus
+from calib.cli.interrupt import INTERRUPTED
 from calib.errors import CalibError, VerdictError
 
 #: Names that are registered, read when the help is printed.
@@ -199,8 +200,7 @@ def reporting(*, debug: bool) -> Iterator[None]:
         sys.stderr.close()
         raise typer.Exit(ExitStatus.DONE) from error
     except KeyboardInterrupt as error:
-        message = f"interrupted; no file was left half written. {error}".rstrip()
-        typer.echo(f"calib: {message}", err=True)
+        typer.echo(f"{INTERRUPTED} {error}".rstrip(), err=True)
         raise typer.Exit(ExitStatus.INTERRUPTED) from error
     except OSError:  # reported by `calib.__main__.main`
         raise
