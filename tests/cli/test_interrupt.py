@@ -79,7 +79,7 @@ def test_work_that_ends_by_itself_is_let_end():
     [
         ("plan", "ur3", "--tip", "tool0", "-o", "plan.csv"),
         ("workspace", "ur3", "--tip", "tool0", "--samples", "3000000", "-o", "region.json"),
-        ("simulate", "ur3", "--tip", "tool0", "--count", "20000", "-o", "table.csv"),
+        ("simulate", "ur3", "--tip", "tool0", "--count", "200000", "-o", "table.csv"),
         ("fleet", "fleet.csv", "--out", "results", "--base", "base"),
     ],
     ids=lambda words: words[0],
