@@ -107,7 +107,7 @@ def view(
             cells = [with_target_link(one, cell) for one in (arm, second or arm)]
         shown = view_of_robots(arm, second, measurements, cells=cells)
 
-    with moving_bar("page", quiet=False):
+    with moving_bar("page", quiet=quiet):
         page = view_page(shown)
     written = write_or_open(page, output, overwrite=force)
     if not quiet:
