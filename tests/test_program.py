@@ -59,7 +59,7 @@ OF_TABLES = {
     "evaluate": "robot.urdf data.csv --base base",
     "inspect": "robot.urdf data.csv --base base",
     "compare": "result.json result.json",
-    "compensate": "robot.urdf joints.csv --calibration result.json -o commands.csv --accept",
+    "compensate": "robot.urdf joints.csv --calibration result.json -o commands.csv --accept --skip",
     "convert": "result.json --to dh -o rows.csv --accept",
     "simulate": "robot.urdf --base base -o table.csv",
 }

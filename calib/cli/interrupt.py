@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from calib.cli.exit_status import ExitStatus
 
@@ -66,5 +66,6 @@ def _end() -> None:
         for child in multiprocessing.active_children():
             child.kill()
     cursor = _SHOW_CURSOR if os.isatty(2) else ""
-    os.write(2, f"{cursor}{INTERRUPTED}\n".encode())
+    with suppress(OSError):  # stderr may be closed
+        os.write(2, f"{cursor}{INTERRUPTED}\n".encode())
     os._exit(ExitStatus.INTERRUPTED)
