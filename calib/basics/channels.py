@@ -169,7 +169,7 @@ class Channels:
     @property
     def present(self) -> tuple[str, ...]:
         """Symbols of the units that some entry has, in the order of `RESIDUAL_UNITS`."""
-        occurring = {self.units[c] for c in np.unique(self.index[self.used]).tolist()}
+        occurring = {unit for c, unit in enumerate(self.units) if np.any(self.index == c)}
         return tuple(symbol for symbol in RESIDUAL_UNITS if symbol in occurring)
 
     def where(self, unit: str) -> Mask:

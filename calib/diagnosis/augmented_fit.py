@@ -129,6 +129,7 @@ def estimate_jointly(
         kept=weights > 0.0,
         weights=weights,
         repeat_factor=np.ones(weights.shape),
+        row_share=np.ones((len(weights), 1)),
         noise=np.array([estimate.noise]),
         prior_std=np.array([prior_std]),
         stop_shares=estimate.problem.stop_shares[None],
@@ -171,7 +172,8 @@ def augment(fitted: Fitted, columns: Array, of_distances: Array | None = None) -
         sigma = np.array([known.sigma for known in problem.distances])
         of_known[: len(sigma)] = of_distances / sigma[:, None]
     standardised = problem.rows.standardise(columns)
-    before, residual = linear.columns[:-1], linear.columns[-1:]
+    columns_before = linear.columns_of(slice(None))
+    before, residual = columns_before[:-1], columns_before[-1:]
     return replace(
         linear,
         x=np.pad(linear.x, (0, count)),

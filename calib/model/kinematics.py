@@ -218,20 +218,18 @@ class Kinematics(Value):
 
     def _poses_on(self, chain: tuple[Robot, ErrorModel], x: Array, samples: Samples) -> Array:
         """Return T_frame_target, (N, 4, 4) [m], of samples of one chain at x, (p,)."""
-        geometry, _ = self._displaced(chain, x)
-        return kernel.poses(geometry, self._chain_samples(chain, x, samples))
+        motion = self._displaced(chain, x)
+        return kernel.poses(motion.geometry, self._chain_samples(chain, x, samples))
 
     def _twists_on(
         self, chain: tuple[Robot, ErrorModel], x: Array, samples: Samples, *, rotation: bool
     ) -> tuple[Array, Array]:
         """Return what `twists` returns, for samples of one chain."""
-        geometry, directions = self._displaced(chain, x)
+        motion = self._displaced(chain, x)
         chain_samples = self._chain_samples(chain, x, samples)
-        return kernel.twists(geometry, directions, chain_samples, rotation=rotation)
+        return kernel.twists(motion, chain_samples, rotation=rotation)
 
-    def _displaced(
-        self, chain: tuple[Robot, ErrorModel], x: Array
-    ) -> tuple[kernel.Geometry, kernel.Directions]:
+    def _displaced(self, chain: tuple[Robot, ErrorModel], x: Array) -> kernel.Motion:
         """Return frames, placements and targets displaced by x, (p,), and the twists there of each parameter's unit."""
         robot, model = chain
         displacements, twists = model.displacements(x)
@@ -246,7 +244,7 @@ class Kinematics(Value):
         directions = kernel.Directions(
             bases=twists[:first], placements=twists[first:last], targets=twists[last:]
         )
-        return geometry, directions
+        return kernel.Motion(geometry, directions)
 
     def _chain_samples(
         self, chain: tuple[Robot, ErrorModel], x: Array, samples: Samples

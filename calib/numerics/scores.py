@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri, fdtri
 
 from calib.basics.arrays import Array, Mask
-from calib.robot.kernel import over_blocks
 
 #: A good row keeps its full weight with this probability.
 _FULL_WEIGHT = 0.99
@@ -90,51 +89,66 @@ def deleted_norms(
     """Compute the norms of the deleted residuals of N rows in B fits; the module's text has the equation.
 
     Args:
-        residual: shape (B, N, D), measured minus predicted, in units of each scalar's given sigma.
-        jacobian: shape (N, D, p), of the prediction, in the same units; the fits share it.
+        residual: shape (B, D, N), measured minus predicted, in units of each scalar's given sigma.
+        jacobian: shape (p, D, N), of the prediction, in the same units; the fits share it.
         covariance: shape (B, p, p), of the parameters.
         weights: shape (B, N), of the rows in each fit; 0 for rows that it did not use.
-        factors: shape (B or 1, N, D), by which residual and Jacobian are multiplied: 1 over the estimated noise.
+        factors: shape (B or 1, D, N), by which residual and Jacobian are multiplied: 1 over the estimated noise.
 
     Returns:
         shape (B, N), in standard deviations. For d scalars its square is d times F(d, freedom) distributed.
     """
+    p, D, N = jacobian.shape
+    flat = jacobian.reshape(p, D * N)
+    every_factor = np.broadcast_to(factors, residual.shape)
     norms = np.empty(weights.shape)
-
-    def work(rows: slice) -> None:
-        """Fill in the norms of some of the rows, by the leverage K of each."""
-        A = jacobian[rows]
-        f = factors[:, rows]
-        n, D, p = A.shape
-        A_C = (A.reshape(n * D, p) @ covariance).reshape(-1, n, D, p)
-        K = (A_C @ A.swapaxes(1, 2)) * (f[..., None] * f[..., None, :])
-        norms[:, rows] = _norms_by_leverage(residual[:, rows] * f, K, weights[:, rows])
-
-    over_blocks(work, weights.shape[1])
+    for b, of_fit in enumerate(covariance):
+        carried = (of_fit @ flat).reshape(p, D, N)
+        K = np.empty((D, D, N))
+        for i in range(D):
+            for j in range(i + 1):
+                products = np.einsum("pn,pn->n", carried[:, i], jacobian[:, j])
+                K[i, j] = K[j, i] = products * every_factor[b, i] * every_factor[b, j]
+        norms[b] = _norms_by_leverage(residual[b] * every_factor[b], K, weights[b])
     return norms
 
 
 def _norms_by_leverage(r: Array, K: Array, w: Array) -> Array:
-    """Return the norms (B, N) of the deleted residuals of whitened residuals r (B, N, D), leverages K and weights w.
+    """Return the norms (N,) of the deleted residuals of whitened residuals r (D, N), leverages K and weights w.
 
-    K, shape (B, N, D, D), is that of rows with weight 1; w has the shape (B, N).
+    K, shape (D, D, N), is that of rows with weight 1; w has the shape (N,).
     """
     # If a row determines a direction nearly alone, I - w K is nearly singular: then by the eigenvalues of K, none of
     # which counts for more than 1 / w.
-    w = w[..., None]
-    trace = np.trace(K, axis1=-2, axis2=-1)
-    almost_alone = ~(w[..., 0] * trace < 1.0 - _CARRIED)
-    risky = almost_alone | (K.max(axis=(-2, -1)) > 1.0 / _CARRIED)
-    left = np.eye(K.shape[-1]) - w[..., None] * np.where(risky[..., None, None], 0.0, K)
-    spread = left + (1.0 - w[..., None]) * (K @ left)
-    square = np.sum(r * np.linalg.solve(spread, r[..., None])[..., 0], axis=-1)
-    if risky.any():
-        values, vectors = np.linalg.eigh(K[risky])
-        along = np.einsum("nij,ni->nj", vectors, r[risky])
-        w = w[risky]
-        spread = (1.0 + (1.0 - w) * values) * np.maximum(1.0 - w * values, _LEAST_LEFT)
-        square[risky] = np.sum(along**2 / spread, axis=1)
+    almost_alone = ~(w * np.einsum("iin->n", K) < 1.0 - _CARRIED)
+    risky = np.flatnonzero(almost_alone | (K.max(axis=(0, 1)) > 1.0 / _CARRIED))
+    safe = K
+    if len(risky):
+        safe = K.copy()
+        safe[:, :, risky] = 0.0
+    spread = (1.0 - 2.0 * w) * safe
+    spread -= (w * (1.0 - w)) * np.einsum("ikn,kjn->ijn", safe, safe)
+    np.einsum("iin->in", spread)[...] += 1.0
+    square = _quadratic_forms(spread, r.copy())
+    if len(risky):
+        values, vectors = np.linalg.eigh(K[:, :, risky].transpose(2, 0, 1))
+        along = np.einsum("nij,in->nj", vectors, r[:, risky])
+        part = w[risky, None]
+        left = (1.0 + (1.0 - part) * values) * np.maximum(1.0 - part * values, _LEAST_LEFT)
+        square[risky] = np.sum(along**2 / left, axis=1)
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+
+def _quadratic_forms(S: Array, r: Array) -> Array:
+    """Return r^T S^-1 r, (N,), of symmetric positive definite S (D, D, N) and r (D, N) by elimination; both change."""
+    square = np.zeros(r.shape[1])
+    for i in range(len(r)):
+        square += r[i] * r[i] / S[i, i]
+        for j in range(i + 1, len(r)):
+            share = S[j, i] / S[i, i]
+            r[j] -= share * r[i]
+            S[j, i + 1 : j + 1] -= share * S[i + 1 : j + 1, i]
+    return square
 
 
 def point_scores(norms: Array, scalars: NDArray[np.int_]) -> Array:

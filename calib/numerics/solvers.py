@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dtrtrs
+from scipy.linalg.lapack import dgeqrf, dpotrf, dtrtrs
 
 import calib.basics.plugins as plugins
 from calib.basics.arrays import Array
@@ -41,8 +41,18 @@ _HIGHEST_DAMPING = 1e12
 #: Columns that LAPACK's QR takes at a time: it needs room for as many. By default it has room for three.
 _QR_BLOCK = 32
 
+#: A matrix of unit diagonal has a Cholesky factor that rounding hardly changes if no entry on its diagonal is smaller.
+_SINGULAR = 1e-6
+
 #: x, shape (p,) -> residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
 System = Callable[[Array], tuple[Array, Array]]
+
+
+#: After a step of a higher gain the next one is made longer.
+_SHORT = 1.2
+
+#: It is made longer by at most this factor.
+_LONGEST = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +108,10 @@ def levenberg_marquardt(
     The step minimises |r + J dx|^2 + mu |D dx|^2, where D are the largest column norms of J so far (J. Moré, 1978) and
     mu follows the gain ratio (H. B. Nielsen, 1999).
 
+    Where residuals stay large, as of images or of a wrong set-up, E curves less than r + J dx says: all steps are too
+    short by the same factor. The parabola through E, its slope and its value after a step of the gain g has its minimum
+    at 1 / (2 - g) times the step. So a step with g well above 1 is followed by one that is longer by this factor.
+
     Args:
         system: Maps x, shape (p,), to the residual r, (m,), and its Jacobian dr/dx, (m, p).
         x0: shape (p,), start.
@@ -119,6 +133,7 @@ def levenberg_marquardt(
     R, rhs = _triangle(J, r)
     mu = _FIRST_DAMPING
     raise_by = 2.0  # factor of the damping at the next step that fails
+    stretch = 1.0
     history: list[Iteration] = []
     status = "converged"
     while True:
@@ -130,21 +145,26 @@ def levenberg_marquardt(
             message = _CONVERGED
             break
 
-        trial_x = x + dx
+        trial_x = x + stretch * dx
         trial_r, trial_J = system(trial_x)
         trial_cost = _cost(trial_r)
         gain = (cost - trial_cost) / predicted if np.isfinite(trial_cost) else -np.inf
-        history.append(Iteration(cost, mu, gain, length, gain > 0))
+        history.append(Iteration(cost, mu, gain, stretch * length, gain > 0))
         if gain > 0:
             x, cost = trial_x, trial_cost
             R, rhs = _triangle(trial_J, trial_r)
             scale = np.maximum(scale, _column_norms(trial_J))
+        if stretch > 1.0:  # a plain step follows, whose gain tells how far the next may go
+            stretch = 1.0
+        elif gain > 0:
             # The closer the gain is to 1, the more the damping falls.
             factor = 0.1
             if gain < _GOOD_GAIN:
                 factor = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
             mu = max(mu * factor, _LOWEST_DAMPING)
             raise_by = 2.0
+            if gain > _SHORT:
+                stretch = 1.0 / max(2.0 - gain, 1.0 / _LONGEST)
         else:
             mu = mu * raise_by
             raise_by = raise_by * 2.0
@@ -375,6 +395,24 @@ def triangle(A: Array) -> Array:
         return np.zeros((height, A.shape[1]))
     factored, *_ = dgeqrf(A, lwork=_QR_BLOCK * A.shape[1], overwrite_a=1)
     return np.triu(factored[:height])
+
+
+def upper_root(products: Array) -> Array | None:
+    """Return the upper triangle R of P = R^T R, by Cholesky.
+
+    Args:
+        products: P, shape (n, n), symmetric and positive semidefinite.
+
+    Returns:
+        shape (n, n); None if P is so nearly singular that its rounding counts.
+    """
+    scale = np.sqrt(products.diagonal())
+    if not np.all(scale > 0.0):
+        return None
+    root, failed = dpotrf(products / np.outer(scale, scale), clean=1)
+    if failed or root.diagonal().min() < _SINGULAR:
+        return None
+    return np.asarray(root * scale)
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:

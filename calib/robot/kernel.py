@@ -5,13 +5,14 @@ frame. Samples come last, so that a constant placement is one matrix product for
 a chain's regressor to the columns of a model's parameters. A twist (v, w) of a body with the axes R moves a point of
 it, d from its origin, with R v + (R w) x d: that is the whole derivative, and it is exact.
 
-Samples are processed in blocks that stay in the processor's cache.
+Samples are processed in blocks that stay in the processor's cache. What a block needs of the chain and of the
+parameters is prepared once, in `Motion`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -87,6 +88,121 @@ def turns_to(axes: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(turns, 2, 0))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Share:
+    """What some parameters move by the twist of one body."""
+
+    #: Its index among the frames of `_frames`
+    body: int
+    #: Which of the p parameters
+    parameters: slice | Numbers
+    #: shape (k, 6), twist of the body per unit of each of these k parameters, along the axes of its frame
+    twists: Array
+    #: True if these parameters have a part of an earlier body already
+    adds: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A chain and how its p parameters move the targets, ready for any samples."""
+
+    #: The chain, its measurement frames and its targets
+    geometry: Geometry
+    #: Twists of the p parameters at the places that they move
+    directions: Directions
+    #: The placements of `_steps`
+    _steps: Array = field(init=False, repr=False)
+    #: What parameters of the joints and the tip move, body by body
+    _shares: tuple[_Share, ...] = field(init=False, repr=False)
+    #: The parameters that no share has
+    _others: Numbers = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Find which parameters each body has: most have one alone."""
+        geometry, directions = self.geometry, self.directions
+        n = len(geometry.slides)
+        # Twists of joints along the frames of `_steps`, whose z is the joint's axis.
+        inner = directions.placements.reshape(n + 1, 2, 3, -1).copy()
+        inner[:n] = geometry.turns.transpose(0, 2, 1)[:, None] @ inner[:n]
+        bodies = [*inner.reshape(n + 1, 6, -1)]
+        numbers = [*range(1, n + 2)]
+        # All samples see the only frame, and the only target.
+        if len(directions.bases) == 1:
+            bodies.append(directions.bases[0])
+            numbers.append(0)
+        if len(directions.targets) == 1:
+            bodies.append(directions.targets[0])
+            numbers.append(n + 2)
+        shares = []
+        has_share = np.zeros(directions.placements.shape[2], dtype=bool)
+        for body, twists_of_body in zip(numbers, bodies, strict=True):
+            moving = twists_of_body.any(axis=0)
+            # Those of one kind, which are nearly always neighbours, can be written to in one piece.
+            for is_again in (False, True):
+                chosen = np.flatnonzero(moving & (has_share == is_again))
+                if len(chosen):
+                    twists_of_chosen = np.ascontiguousarray(twists_of_body[:, chosen].T)
+                    shares.append(_Share(body, _run(chosen), twists_of_chosen, is_again))
+            has_share |= moving
+        object.__setattr__(self, "_steps", _steps(geometry))
+        object.__setattr__(self, "_shares", tuple(shares))
+        object.__setattr__(self, "_others", np.flatnonzero(~has_share))
+
+    def over(self, samples: ChainSamples, block: slice, *, rotation: bool) -> tuple[Array, Array]:
+        """Return the target's frame in a block of B samples, and its Jacobian.
+
+        Args:
+            samples: N samples.
+            block: Some of them, few enough that what is computed stays in the cache.
+            rotation: False for the velocity of the target's origin alone.
+
+        Returns:
+            Axes x, y, z and origin of the target, shape (4, 3, B), [m], along the axes of the measurement frame; and
+            its velocity per unit of each parameter, shape (p, 6, B), or (p, 3, B) without ``rotation``, as of `twists`.
+        """
+        geometry, directions = self.geometry, self.directions
+        n = len(geometry.slides)
+        joints = np.arange(1, n + 1)
+        frames = _frames(geometry, self._steps, samples, block)
+        B = frames.shape[3]
+        jacobian = np.empty((directions.placements.shape[2], 6 if rotation else 3, B))
+
+        def fill(part: Array, moves: Array, components: slice, joint_moves: Array) -> None:
+            """Fill in linear or angular velocities (p, 3, B) by those per unit twist of each body (n + 3, d, 3, B)."""
+            part[self._others] = 0.0
+            for share in self._shares:
+                of_body = moves[share.body].reshape(-1, 3 * B)
+                velocity = (share.twists[:, components] @ of_body).reshape(-1, 3, B)
+                if share.adds:
+                    part[share.parameters] += velocity
+                else:
+                    part[share.parameters] = velocity
+            if len(directions.bases) > 1:
+                bases = directions.bases[:, components]
+                add_columns(part, moves[0], bases, samples.frame[block])
+            if len(directions.targets) > 1:
+                targets = directions.targets[:, components]
+                add_columns(part, moves[-1], targets, samples.target[block])
+            if len(samples.columns):
+                moved = samples.moved[block]
+                part[samples.columns] += np.einsum("idb,bik->kdb", joint_moves, moved)
+
+        moves = regressor(frames, frames[-1, 3])
+        along = moves[joints, np.where(geometry.slides, 2, 5)] if len(samples.columns) else moves
+        fill(jacobian[:, :3], moves, slice(0, 6), along)
+        if rotation:
+            axes = frames[:, :3]
+            about = np.where(geometry.slides[:, None, None], 0.0, axes[joints, 2])
+            fill(jacobian[:, 3:], axes, slice(3, 6), about)
+        return frames[-1], jacobian
+
+
+def _run(numbers: Numbers) -> slice | Numbers:
+    """Return ascending indices as a slice if they are consecutive."""
+    first, last = int(numbers[0]), int(numbers[-1])
+    return slice(first, last + 1) if last - first + 1 == len(numbers) else numbers
+
+
 def poses(geometry: Geometry, samples: ChainSamples) -> Array:
     """Return T_frame_target of every sample.
 
@@ -111,21 +227,14 @@ def poses(geometry: Geometry, samples: ChainSamples) -> Array:
     return T_frame_target
 
 
-def twists(
-    geometry: Geometry,
-    directions: Directions,
-    samples: ChainSamples,
-    *,
-    rotation: bool = True,
-) -> tuple[Array, Array]:
+def twists(motion: Motion, samples: ChainSamples, *, rotation: bool = True) -> tuple[Array, Array]:
     """Return T_frame_target and its Jacobian: the target's velocity per unit of each parameter.
 
     The velocity is that of the target's origin, then the angular velocity, both along the axes of the measurement
     frame: column k is (dp, dphi) / dx_k, with dR = [dphi]_x R.
 
     Args:
-        geometry: The chain, its measurement frames and its targets.
-        directions: Twists of the p parameters at the places that they move.
+        motion: The chain, and the twists of the p parameters.
         samples: N samples.
         rotation: False for the velocity of the origin alone.
 
@@ -133,50 +242,18 @@ def twists(
         T_frame_target, shape (N, 4, 4), [m]; and the Jacobian, shape (N, 6, p), or (N, 3, p) without ``rotation``,
         [m and rad per unit of the parameter]. In the Jacobian's memory samples come last.
     """
-    count, n = samples.values.shape
-    p = directions.placements.shape[2]
+    count = len(samples.values)
     T_frame_target = _poses_to_fill(count)
-    jacobian = np.empty((p, 6 if rotation else 3, count))
-    steps = _steps(geometry)
-    joints = np.arange(1, n + 1)
-    # Twists of joints along the frames of `_steps`, whose z is the joint's axis.
-    inner = directions.placements.reshape(n + 1, 2, 3, p).copy()
-    inner[:n] = geometry.turns.transpose(0, 2, 1)[:, None] @ inner[:n]
-    linear = inner.reshape(6 * (n + 1), p).T
-    angular = inner[:, 1].reshape(3 * (n + 1), p).T
+    if count <= BLOCK:
+        target_frame, jacobian = motion.over(samples, slice(0, count), rotation=rotation)
+        T_frame_target[:, :3] = target_frame.transpose(2, 1, 0)
+        return T_frame_target, jacobian.transpose(2, 1, 0)
+    jacobian = np.empty((motion.directions.placements.shape[2], 6 if rotation else 3, count))
 
     def work(block: slice) -> None:
         """Fill in the poses and the Jacobian of a block of samples."""
-        frames = _frames(geometry, steps, samples, block)
-        T_frame_target[block, :3] = frames[-1].transpose(2, 1, 0)
-        B = frames.shape[3]
-        moves = regressor(frames, frames[-1, 3])
-        along = moves[joints, np.where(geometry.slides, 2, 5)]
-        part = (linear @ moves[1:-1].reshape(6 * (n + 1), 3 * B)).reshape(p, 3, B)
-        add_outer_columns(part, moves, slice(0, 6), along, block)
-        jacobian[:, :3, block] = part
-        if rotation:
-            axes = frames[:, :3]
-            about = np.where(geometry.slides[:, None, None], 0.0, axes[joints, 2])
-            part = (angular @ axes[1:-1].reshape(3 * (n + 1), 3 * B)).reshape(p, 3, B)
-            add_outer_columns(part, axes, slice(3, 6), about, block)
-            jacobian[:, 3:, block] = part
-
-    def add_outer_columns(
-        part: Array,
-        moves: Array,
-        components: slice,
-        joint_moves: Array,
-        block: slice,
-    ) -> None:
-        """Add to a Jacobian (p, 3, B) the columns of measurement frames, targets and errors of joint values."""
-        bases = directions.bases[:, components]
-        targets = directions.targets[:, components]
-        add_columns(part, moves[0], bases, samples.frame[block])
-        add_columns(part, moves[-1], targets, samples.target[block])
-        if len(samples.columns):
-            moved = samples.moved[block]
-            part[samples.columns] += np.einsum("idb,bik->kdb", joint_moves, moved)
+        target_frame, jacobian[:, :, block] = motion.over(samples, block, rotation=rotation)
+        T_frame_target[block, :3] = target_frame.transpose(2, 1, 0)
 
     over_blocks(work, count)
     return T_frame_target, jacobian.transpose(2, 1, 0)
@@ -270,10 +347,13 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
     Shape (n + 3, 4, 3, B): axes x, y, z and origin [m] of each, along the axes of the sample's measurement frame.
     ``steps`` are the placements of `_steps`.
     """
-    values = samples.values[block].T
+    values = np.ascontiguousarray(samples.values[block].T)
     n, B = values.shape
-    sines = np.sin(values)
-    cosines = np.cos(values)
+    # By the tangent of the half angle, because NumPy has one function of angles that is fast.
+    tangents = np.tan(0.5 * values)
+    one_more = 2.0 / (1.0 + tangents * tangents)
+    cosines = one_more - 1.0
+    sines = one_more * tangents
     frames = np.empty((n + 3, 4, 3, B))
     bases = geometry.bases[:, :3]
     if len(bases) == 1:
@@ -282,6 +362,7 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
         frames[0] = bases[samples.frame[block]].transpose(2, 1, 0)
     moved = frames[0]
     moved_joint = np.empty((4, 3, B))
+    by_sine = np.empty((2, 3, B))
     for i in range(n):
         np.matmul(steps[i].T, moved.reshape(4, -1), out=frames[i + 1].reshape(4, -1))
         # The joint moves its frame along, or about, its own z.
@@ -290,11 +371,10 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
             moved_joint[:] = frame
             moved_joint[3] += frame[2] * values[i]
         else:
-            x, y = frame[:2]
-            np.multiply(x, cosines[i], out=moved_joint[0])
-            moved_joint[0] += y * sines[i]
-            np.multiply(y, cosines[i], out=moved_joint[1])
-            moved_joint[1] -= x * sines[i]
+            np.multiply(frame[:2], cosines[i], out=moved_joint[:2])
+            np.multiply(frame[:2], sines[i], out=by_sine)
+            moved_joint[0] += by_sine[1]
+            moved_joint[1] -= by_sine[0]
             moved_joint[2:] = frame[2:]
         moved = moved_joint
     np.matmul(steps[n].T, moved.reshape(4, -1), out=frames[n + 1].reshape(4, -1))
@@ -304,7 +384,8 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
 
 T = TypeVar("T")
 
-BLOCK = 1024  #: Samples of one block.
+#: Samples of one block: with fewer, NumPy's calls take longer than the arithmetic; what more need leaves the cache.
+BLOCK = 4096
 
 
 def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
@@ -318,3 +399,11 @@ def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
         Its results, block by block.
     """
     return [work(slice(k, min(k + BLOCK, count))) for k in range(0, count, BLOCK)]
+
+
+def sum_over_blocks(work: Callable[[slice], Array], count: int) -> Array:
+    """Return the sum of the arrays, of one shape, that a function returns for each block of samples, see `over_blocks`.
+
+    Blocks are added in their order.
+    """
+    return np.asarray(np.sum(over_blocks(work, count), axis=0))

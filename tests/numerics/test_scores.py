@@ -16,8 +16,10 @@ def linear_rows(rng, n=25, p=12, noise=0.3, d=3):
 
 
 def scores(residual, jacobian, covariance, weights, used):
-    ones = np.ones((1, *residual.shape))
-    norms = deleted_norms(residual[None], jacobian, covariance[None], weights[None], ones)
+    ones = np.ones((1, *residual.T.shape))
+    norms = deleted_norms(
+        residual.T[None], jacobian.transpose(2, 1, 0), covariance[None], weights[None], ones
+    )
     return point_scores(norms[0], np.sum(used, axis=1))
 
 
@@ -113,10 +115,10 @@ def test_weights_fall_in_a_straight_line_between_the_limits():
 
 def test_a_row_that_nothing_else_checks_is_not_judged():
     """It alone determines a parameter, with a leverage of one, or of more by rounding, and so leaves no residual."""
-    jacobian = np.array([[[1.0, 0.0]], [[0.0, 1.0]], [[0.0, 1.0]]])
+    jacobian = np.array([[[1.0, 0.0, 0.0]], [[0.0, 1.0, 1.0]]])
     for rounding in (0.0, 1e-13, -1e-13):
         covariance = np.diag([1.0 + rounding, 0.5])[None]
-        residual, ones = np.array([[[0.0], [0.3], [-0.3]]]), np.ones((1, 3, 1))
+        residual, ones = np.array([[[0.0, 0.3, -0.3]]]), np.ones((1, 1, 3))
         found = deleted_norms(residual, jacobian, covariance, np.ones((1, 3)), ones)
         # The others are 0.6 apart, and twice their variance is that of the difference.
         np.testing.assert_allclose(

@@ -27,9 +27,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
-from calib.fit.estimate.linear import LinearProblem
+from calib.fit.estimate.linear import ComputedColumns, LinearProblem
 from calib.fit.estimate.special_cases.arm_size import SizeGauge, find_size_gauge, measures_length
 from calib.fit.estimate.special_cases.stop_shares import PARTS
 from calib.fit.estimate.special_cases.stops import Stops
@@ -37,14 +37,15 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import KnownDistance
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
-from calib.numerics.solvers import triangle
+from calib.numerics.solvers import triangle, upper_root
 from calib.robot.kernel import over_blocks
 
 #: Noise below this is rounding, and not that of an instrument [m, rad, px].
 _SMALLEST_SIGMA = 1e-8
 
-#: Rows whose twists are in memory at a time.
-PART = 16_384
+#: The most numbers of a linearisation that are kept in memory (64 MB): of more rows they are computed when needed,
+#: which takes no longer than a few uses of them.
+_MOST_KEPT = 2**23
 
 #: Up to so many rows a solver gets every scalar; of more it gets a triangle of the same squares.
 _TALL = 1024
@@ -126,6 +127,10 @@ class Problem(Value):
         residual = linear.residual(linear.x)
         gauge = find_size_gauge(self.kinematics, self.rows, linear.A, residual)
         return replace(self, gauge=gauge, _last=[])  # the linearised problem has no gauge
+
+    def select(self, chosen: Mask) -> Problem:
+        """Return the problem of some of the rows, (N,), of which no stop has several targets."""
+        return replace(self.with_rows(self.rows.select(chosen)), weights=self.weights[chosen])
 
     def with_rows(self, rows: Rows) -> Problem:
         """Return the problem with the same rows whose given errors differ, such as by another noise of poses.
@@ -215,18 +220,28 @@ class Problem(Value):
             return self._last[0]
         self._last.clear()  # before the next one is made, for memory
         rows = self.rows
-        columns = np.empty((self.size + 1, rows.width, len(rows)))
         rotation = rows.depends_on_orientation
-        for part in rows.parts(PART):
+        shape = (self.size + 1, rows.width, len(rows))
+
+        def of_rows(part: slice) -> Array:
+            """The columns of some of the rows, (p + 1, D, n)."""
             part_rows = rows.select(part)
-            width = part_rows.width
             seen = self.kinematics.linearised(x, part_rows.samples, rotation=rotation)
-            if width < rows.width:  # these rows lack a kind that others have
-                columns[:, width:, part] = 0.0
-            derivative = part_rows.standardise(part_rows.derivative(seen))
-            residual = part_rows.standardise(part_rows.residual(seen))
-            columns[:-1, :width, part] = derivative.transpose(2, 1, 0)
-            columns[-1][:width, part] = residual.T
+            columns = np.empty((*shape[:2], len(part_rows)))
+            width = part_rows.width
+            columns[:, width:] = 0.0  # these rows lack a kind that others have
+            of_part = columns[:, :width].transpose(2, 1, 0)
+            part_rows.standardise(part_rows.derivative(seen), out=of_part[:, :, :-1])
+            of_part[:, :, -1] = part_rows.standardise(part_rows.residual(seen))
+            return columns
+
+        columns: Array | ComputedColumns
+        if np.any(rows.partner >= 0):  # pairs stay together
+            columns = of_rows(slice(0, len(rows)))
+        elif np.prod(shape) <= _MOST_KEPT:
+            columns = np.concatenate(over_blocks(of_rows, len(rows)), axis=2)
+        else:
+            columns = ComputedColumns(shape, of_rows)
         of_constraints, C = self.constraints(x)
         linear = LinearProblem(
             x=x.copy(),
@@ -320,43 +335,59 @@ class Problem(Value):
             x: shape (p,), offsets [m, rad, ...].
 
         Returns:
-            Residual r, shape (m,), and dr/dx, shape (m, p): of the measured scalars, measured minus predicted (of many
-            rows a triangle with the same squares and products), then of each parameter with a prior, its mean minus the
-            parameter over the prior standard deviation, then of each constraint, known minus predicted over its sigma.
+            Residual r, shape (m,), and dr/dx, shape (m, p): of the measured scalars, measured minus predicted, then of
+            each parameter with a prior, its mean minus the parameter over the prior standard deviation, then of each
+            constraint, known minus predicted over its sigma. Of many rows it is a triangle with the same squares and
+            products instead.
         """
         with_prior = np.flatnonzero(self.prior_precision)
         root = np.sqrt(self.prior_precision[with_prior])
         of_constraints, slope = self.constraints(x)
-        whitened = self._whitened(self.linear(x).columns)
-        measured = whitened.shape[1]
-        last = measured + len(with_prior)
+        known = np.zeros((len(root) + len(of_constraints), self.size + 1))
+        known[np.arange(len(root)), with_prior] = -root
+        known[: len(root), -1] = -root * (x - self.prior_mean)[with_prior]
+        known[len(root) :, :-1] = -slope
+        known[len(root) :, -1] = of_constraints
+        linear = self.linear(x)
+        if len(self.rows) > _TALL:
+            # The triangle R of [J r] = Q R by Cholesky; by QR where the squares in the products are too coarse.
+            of_channels = linear.products(self.weights[None], self.stop_shares)[0]
+            products = np.tensordot(1.0 / self.noise**2, of_channels, axes=1)
+            products[:-1, -1] *= -1.0  # of dr/dx, not of A
+            products[-1, :-1] *= -1.0
+            both = upper_root(products + known.T @ known)
+            if both is not None:
+                return both[:, -1], both[:, :-1]
+        whitened = self._whitened(linear)
         # By columns in memory, as solvers want it.
-        both = np.zeros((self.size + 1, last + len(of_constraints)))
-        both[:-1, :measured] = -whitened[:-1]
-        both[-1, :measured] = whitened[-1]
-        both[with_prior, measured + np.arange(len(with_prior))] = -root
-        both[-1, measured:last] = -root * (x - self.prior_mean)[with_prior]
-        both[:-1, last:] = -slope.T
-        both[-1, last:] = of_constraints
+        both = np.hstack([whitened, known.T])
+        both[:-1, : whitened.shape[1]] *= -1.0
         return both[-1], both[:-1].T
 
-    def _whitened(self, columns: Array) -> Array:
-        """The whitened columns of Jacobian and residual, (p + 1, D, N), at the M measured scalars, (p + 1, M).
+    def _whitened(self, linear: LinearProblem) -> Array:
+        """The whitened columns of Jacobian and residual at the M measured scalars, (p + 1, M).
 
         Of more than `_TALL` rows it is the triangle R of [A r] = Q R, transposed, which has the same products.
         """
         whiten = (np.sqrt(self.weights)[:, None] / self.noise_by_scalar).T
+        columns_of = linear.columns_of
         if self.stops is not None and np.any(self.stop_shares):
-            columns, _ = self.stops.independent(columns * whiten, self.weights, self.stop_shares)
+            columns = columns_of(slice(None)) * whiten
+            independent, _ = self.stops.independent(columns, self.weights, self.stop_shares)
             whiten = np.ones(whiten.shape)
+
+            def columns_of(rows: slice) -> Array:
+                """The independent columns of some of the rows."""
+                return independent[:, :, rows]
+
         used = self.rows.used.T
         if len(self.weights) <= _TALL:
-            return np.asarray((columns * whiten)[:, used])
+            return np.asarray((columns_of(slice(None)) * whiten)[:, used])
         factor = whiten * used
 
         def block_triangle(rows: slice) -> Array:
             """The triangle R of [A r] = Q R, whitened, over some of the rows."""
-            block = (columns[:, :, rows] * factor[:, rows]).reshape(len(columns), -1)
+            block = (columns_of(rows) * factor[:, rows]).reshape(self.size + 1, -1)
             return triangle(block.T)
 
         triangles = over_blocks(block_triangle, len(self.weights))

@@ -15,13 +15,15 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
-from calib.fit.estimate.special_cases.stop_shares import PARTS
+from calib.fit.estimate.special_cases.stop_shares import PARTS, extrapolated
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES
 from calib.numerics.likelihood import GaussianPriors
+from calib.numerics.neighbours import along_path, independent_share
 from calib.numerics.reml import VarianceLimits, prior_std_by_reml
 from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits, median_noise
+from calib.robot.kernel import BLOCK
 
 #: Prior standard deviation of the logarithm of the noise: a factor of ten either way from the one given or assumed.
 _NOISE_SPREAD = float(np.log(10.0))
@@ -48,6 +50,9 @@ _MOST_OUTLIERS = 0.5
 #: normal: a stop that is off as a whole is an accident, and accidents are rare.
 _MOST_STOPS = 0.15
 
+#: Blocks of rows that the correlation of neighbours is estimated from: 130,000 rows know it to a hundredth.
+_RUNS = 32
+
 #: Noise up to so many times the lowest one allowed is rounding.
 _ROUNDING = 2.0
 
@@ -56,6 +61,9 @@ _SETTLED_WEIGHT = 0.02
 
 #: Noise and prior standard deviations whose relative change is less have settled.
 _SETTLED_STD = 0.01
+
+#: So has the share of rows that count, whose root counts.
+_SETTLED_SHARE = 0.05
 
 #: The most rounds of each kind of stage.
 _ROUNDS = 12
@@ -71,6 +79,8 @@ class Weighting:
     robust: bool
     #: (N,), weights to begin with; or 1 for all rows
     start: Array | float
+    #: Whether rows follow each other, so that what neighbours tell may be much the same
+    along_path: bool = False
 
     @classmethod
     def of(cls, repeats: str, robust: bool, rows: Rows) -> Weighting:
@@ -84,7 +94,7 @@ class Weighting:
             rows: N rows of measurements.
         """
         if rows.weights is None:
-            return cls(repeats, robust, 1.0)
+            return cls(repeats, robust, 1.0, along_path(rows.joints))
         return cls("independent", False, rows.weights)
 
 
@@ -100,6 +110,8 @@ class Stage:
     weights: Array
     #: (B, N), factor on the weight of a row that has repeats
     repeat_factor: Array
+    #: (B, 1), share of rows that count where neighbours are correlated, see `calib.numerics.neighbours`; else 1
+    row_share: Array
     #: (B, C), of each channel, in units of the given sigma
     noise: Array
     #: (B, K), of each family, in its parameters' unit
@@ -129,6 +141,7 @@ class Stage:
             kept=kept,
             weights=np.asarray(kept * weights, np.float64),
             repeat_factor=np.ones(kept.shape),
+            row_share=np.ones((B, 1)),
             noise=np.ones((B, channels)),
             prior_std=np.tile(np.array(prior.start, dtype=np.float64), (B, 1)),
             stop_shares=np.zeros((B, channels, len(PARTS))),
@@ -136,8 +149,8 @@ class Stage:
 
     @property
     def effective(self) -> Array:
-        """Weights with which the rows count, shape (B, N): the robust ones, times the factor for repeats."""
-        return self.weights * self.repeat_factor
+        """Weights with which the rows count, (B, N): the robust ones, times the factors of repeats and neighbours."""
+        return self.weights * self.repeat_factor * self.row_share
 
     @property
     def priors(self) -> GaussianPriors:
@@ -236,7 +249,14 @@ class Stage:
             noise[:, c] = np.maximum(by_median, smallest)
         return noise
 
-    def by_likelihood(self, linear: LinearProblem, robust: bool) -> Stage:
+    def by_likelihood(
+        self,
+        linear: LinearProblem,
+        robust: bool,
+        rounds: int = _LIKELIHOOD_ROUNDS,
+        *,
+        only_compared: bool = False,
+    ) -> Stage:
         """Return the stage with noise and prior standard deviations of the highest restricted likelihood.
 
         Log noise has a normal prior about 0. Prior standard deviations are estimated if the source of the priors is
@@ -246,10 +266,12 @@ class Stage:
             linear: The linearised problem.
             robust: Whether to give the rows the weights that follow from their scores first; then weights and
                 likelihood are computed in turn.
+            rounds: How often, if so.
+            only_compared: Whether the likelihood is only compared with that of other models.
         """
         prior = self.prior
         stage = self
-        for _ in range(_LIKELIHOOD_ROUNDS if robust else 1):
+        for _ in range(rounds if robust else 1):
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
             equations = linear.normal_equations(stage.effective, stage.stop_shares)
@@ -262,7 +284,12 @@ class Stage:
                 start = (stage.noise, stage.prior_std)
                 besides_families = GaussianPriors(prior.precision, prior.mean)
                 noise, prior_std = prior_std_by_reml(
-                    equations, prior.families, start, besides_families, limits
+                    equations,
+                    prior.families,
+                    start,
+                    besides_families,
+                    limits,
+                    only_compared=only_compared,
                 )
                 stage = replace(stage, noise=noise, prior_std=prior_std)
             else:
@@ -282,11 +309,24 @@ class Stage:
         score from which on a row is an outlier. If few degrees of freedom are left, or the weights add up to too small
         a part of a fit's rows (`_MOST_OUTLIERS`), every row that the fit has keeps the weight 1.
         """
-        x, covariance, freedom = self.scoring_fit(linear)
+        return self._weights_by(linear, self.scoring_fit(linear))
+
+    def _weights_by(self, linear: LinearProblem, fit: tuple[Array, Array, Array]) -> Array:
+        """The weights by the scores under a fit: x, (B, p), its covariance, (B, p, p), and degrees of freedom, (B,)."""
+        x, covariance, freedom = fit
         count = np.sum(self.kept, axis=1)
-        scores = linear.scores(x, covariance, self.effective, self.noise)
         limits = Limits.of(count[:, None], freedom[:, None])
-        weights = limits.weights(scores) * self.kept
+        weights = np.empty(self.weights.shape)
+
+        def effective_of(scores: Array, rows: slice) -> Array:
+            """The next effective weights, (B, n), of some of the rows by their scores, (B, n)."""
+            weights[:, rows] = limits.weights(scores) * self.kept[:, rows]
+            return weights[:, rows] * self.repeat_factor[:, rows] * self.row_share
+
+        shared = bool(np.any(self.stop_shares))
+        linear.weigh_by_scores(
+            x, covariance, self.effective, self.noise, effective_of, shared=shared
+        )
         remains_enough = np.sum(weights, axis=1) > (1.0 - _MOST_OUTLIERS) * count
         enough = (freedom > FEWEST_FREEDOM) & remains_enough
         return np.where(enough[:, None], weights, self.kept)
@@ -326,6 +366,26 @@ class Stage:
         others = np.maximum(counts, 1) - 1.0
         return replace(self, repeat_factor=1.0 / (1.0 + others * rho[:, None]))
 
+    def by_neighbours(self, linear: LinearProblem) -> Stage:
+        """Return the stage with a new `row_share`, by the correlation of residuals of rows that follow each other.
+
+        It is estimated from `_RUNS` blocks of consecutive rows at most.
+        """
+        x, _, _ = self.fit(linear)
+        starts = np.arange(0, len(linear) - BLOCK + 1, BLOCK)
+        chosen = np.unique(np.linspace(0, len(starts) - 1, _RUNS).round().astype(np.int_))
+        blocks = [slice(int(k), int(k) + BLOCK) for k in starts[chosen]]
+        residuals = [linear.residual_of(x, rows) for rows in blocks]
+        share = np.ones(self.row_share.shape)
+        for b, noise in enumerate(self.noise):
+            runs = []
+            for rows, residual in zip(blocks, residuals, strict=True):
+                channel = linear.channels.index[rows]
+                weights = self.weights[b, rows, None] * (channel >= 0)
+                runs.append((residual[b] / np.append(noise, 1.0)[channel], weights))
+            share[b] = independent_share(runs)
+        return replace(self, row_share=share)
+
     def by_stops(self, linear: LinearProblem) -> Stage:
         """Return the stage with new `stop_shares`, estimated from the residuals; itself if there are no stops.
 
@@ -335,10 +395,36 @@ class Stage:
             return self
         x, covariance, _ = self.fit(linear)
         shares = linear.stops.estimate_shares(
-            linear.columns, x - linear.x, covariance, self.effective, self.stop_shares
+            linear.columns_of(slice(None)),
+            x - linear.x,
+            covariance,
+            self.effective,
+            self.stop_shares,
         )
         rounding = self.noise <= _ROUNDING * np.array(linear.smallest_noise)
         return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
+
+    def of_all_rows(self, linear: LinearProblem, covariance: Array) -> Stage:
+        """Return the first stage of a fit to all rows, from that of a fit to some of them as it settled (B = 1).
+
+        Noise and prior standard deviations stay; each row has the weight that follows from its score.
+
+        Args:
+            linear: The problem of all rows, linearised at the solution of this stage.
+            covariance: shape (1, p, p), of this solution.
+        """
+        N = len(linear)
+        every_row = np.ones((1, N), dtype=bool)
+        of_all = replace(
+            self,
+            kept=every_row,
+            weights=np.ones((1, N)),
+            repeat_factor=np.ones((1, N)),
+        )
+        # By all rows the covariance is smaller, as their number is larger.
+        share = np.sum(self.kept, axis=1)[:, None, None] / N
+        fit = linear.x[None], share * covariance, np.array([float(np.sum(linear.used))])
+        return replace(of_all, weights=of_all._weights_by(linear, fit))
 
     def select(self, fits: Integers) -> Stage:
         """Return the stage of n of the B fits, by their indices, shape (n,)."""
@@ -347,6 +433,7 @@ class Stage:
             kept=self.kept[fits],
             weights=self.weights[fits],
             repeat_factor=self.repeat_factor[fits],
+            row_share=self.row_share[fits],
             noise=self.noise[fits],
             prior_std=self.prior_std[fits],
             stop_shares=self.stop_shares[fits],
@@ -368,6 +455,7 @@ class Stage:
             kept=kept,
             weights=updated(self.weights, new.weights),
             repeat_factor=updated(self.repeat_factor, new.repeat_factor),
+            row_share=updated(self.row_share, new.row_share),
             noise=updated(self.noise, new.noise),
             prior_std=updated(self.prior_std, new.prior_std),
             stop_shares=updated(self.stop_shares, new.stop_shares),
@@ -379,6 +467,9 @@ def run_stages(
     linear_at: Callable[[Stage], LinearProblem],
     poses: Integers,
     weighting: Weighting,
+    *,
+    only_compared: bool = False,
+    near: bool = False,
 ) -> tuple[Stage, Array]:
     """Estimate weights, noise and prior standard deviations of B fits, until they settle.
 
@@ -387,6 +478,9 @@ def run_stages(
         linear_at: Maps a stage to the problem linearised at its solution; B fits share one linearisation.
         poses: shape (N,), rows of one number are repeats.
         weighting: Treatment of repeats and outliers.
+        only_compared: Whether the likelihood of the last stage is only compared with that of other models: a stage that
+            is linearised where the last one was then has settled.
+        near: Whether the first stage is near the last one, as that of some of the rows is: it needs no robust start.
 
     Returns:
         The last stage, and the degrees of freedom of the fits at the first one, shape (B,): if they are few no row
@@ -396,30 +490,46 @@ def run_stages(
     stage = stage.by_repeats(linear, poses, weighting.repeats)
     _, _, freedom = stage.fit(linear)
     robust = weighting.robust and bool(np.any(freedom > FEWEST_FREEDOM))
-    by_likelihood_in_turn = (False, True) if robust else (True,)
+    by_likelihood_in_turn = (False, True) if robust and not near else (True,)
 
     def settle(
         stage: Stage, linear: LinearProblem, by_likelihood: bool
     ) -> tuple[Stage, LinearProblem]:
         """Repeat stages of one kind until the fits settle; return the last one, and the problem at its solution."""
         moving = np.arange(len(stage.kept))  # the fits that have not settled
+        last = None  # shares that the last round began with, and those it came to
         for _ in range(_ROUNDS):
             before = stage.select(moving)
             if by_likelihood:
-                after = before.by_likelihood(linear, robust)
+                # A round is a pass over all rows, of which there are many if the start is near.
+                times = 1 if near else _LIKELIHOOD_ROUNDS
+                after = before.by_likelihood(linear, robust, times, only_compared=only_compared)
                 after = after.by_repeats(linear, poses, weighting.repeats).by_stops(linear)
+                if weighting.along_path:
+                    after = after.by_neighbours(linear)
             else:
                 after = before.by_median(linear)
                 after = after.by_repeats(linear, poses, weighting.repeats)
-            linear = linear_at(after)
-            stage = stage.updated(moving, after)
             settled = _has_settled(before, after, weights_only=not by_likelihood)
+            rounds = (before.stop_shares, after.stop_shares)
+            if last is not None:
+                after = replace(after, stop_shares=extrapolated(last, rounds))
+            last = (rounds[0][~settled], rounds[1][~settled])
+            linear, begun_at = linear_at(after), linear
+            stage = stage.updated(moving, after)
+            if only_compared and linear is begun_at and linear.stops is None:
+                break
             moving = moving[~settled]
             if not len(moving):
                 break
         return stage, linear
 
+    # Medians are of scalars that are independent.
+    shares = stage.stop_shares
+    stage = replace(stage, stop_shares=np.zeros(shares.shape))
     for by_likelihood in by_likelihood_in_turn:
+        if by_likelihood:
+            stage = replace(stage, stop_shares=shares)
         stage, linear = settle(stage, linear, by_likelihood)
     if not robust or linear.stops is None:
         return stage, freedom
@@ -451,13 +561,15 @@ def _has_settled(before: Stage, after: Stage, *, weights_only: bool) -> Mask:
     Compared are the rows' weights, and, unless ``weights_only``, noise, prior standard deviations, and the share of
     each channel's variance that the targets of a stop do not have in common.
     """
-    change = np.abs(after.effective - before.effective).max(axis=1)
+    change = np.abs(after.effective / after.row_share - before.effective / before.row_share)
+    change = change.max(axis=1)
     settled: Mask = change < _SETTLED_WEIGHT
     if weights_only:
         return settled
     std_before = np.hstack([before.noise, before.prior_std])
     std_after = np.hstack([after.noise, after.prior_std])
     settled &= np.isclose(std_after, std_before, rtol=_SETTLED_STD).all(axis=1)
+    settled &= np.isclose(after.row_share, before.row_share, rtol=_SETTLED_SHARE).all(axis=1)
     unshared_before = 1.0 - before.stop_shares.sum(axis=2)
     unshared_after = 1.0 - after.stop_shares.sum(axis=2)
     settled &= np.isclose(unshared_after, unshared_before, rtol=_SETTLED_STD).all(axis=1)

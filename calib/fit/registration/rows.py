@@ -170,7 +170,7 @@ class Rows:
             result[self._correlated.rows, :POSE] = np.sqrt(variances)
         return result
 
-    def standardise(self, values: Array) -> Array:
+    def standardise(self, values: Array, out: Array | None = None) -> Array:
         """Return values of the scalars in units of their standard deviations as given or assumed.
 
         Those of rows with a covariance are multiplied by W instead, which makes their errors independent; see
@@ -178,12 +178,13 @@ class Rows:
 
         Args:
             values: Residuals or derivatives, shape (N, D) or (N, D, q), in the units of ``channels``.
+            out: shape (N, D, q), where the result is written; None: in memory of its own.
 
         Returns:
-            Of the same shape, without unit.
+            Of the same shape as the values, without unit.
         """
         by_row = values.reshape(len(self), self.width, -1)
-        result = by_row / self.scales[:, :, None]
+        result = np.divide(by_row, self.scales[:, :, None], out=out)
         if self._correlated is not None:
             chosen, W = self._correlated.rows, self._correlated.W
             result[chosen, :POSE] = W @ by_row[chosen, :POSE]
@@ -259,14 +260,21 @@ class Rows:
         Returns:
             These rows; partners and channels get new numbers.
         """
-        every = np.arange(len(self))
-        chosen = every[which]
-        if np.array_equal(chosen, every):
+        chosen: Integers | slice
+        if isinstance(which, slice):
+            chosen = which
+            count = len(range(*which.indices(len(self))))
+            is_whole = count == len(self) and which.step in (None, 1)
+        else:
+            every = np.arange(len(self))
+            chosen = every[which]
+            is_whole = np.array_equal(chosen, every)
+        if is_whole:
             return self
         partner = self.partner[chosen]
         if np.any(partner >= 0):
             new_number = np.full(len(self), -1)
-            new_number[chosen] = np.arange(len(chosen))
+            new_number[chosen] = np.arange(len(partner))
             partner = np.where(partner >= 0, new_number[partner], -1)
         return replace(
             self,
@@ -464,9 +472,3 @@ class Rows:
         result = np.zeros(len(self), dtype=bool)
         result[measuring[drawn]] = True
         return self.with_partners(result)
-
-    def parts(self, size: int) -> list[slice]:
-        """Split the rows into slices of at most ``size`` rows; into one if there are pairs, which stay together."""
-        if np.any(self.partner >= 0):
-            size = max(len(self), 1)
-        return [slice(k, k + size) for k in range(0, len(self), size)]

@@ -21,12 +21,16 @@ from calib.fit.registration.registration import register_all_rows
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.numerics.errors import CrossValidation, Errors
+from calib.numerics.neighbours import along_path
 
 #: Largest number of folds: up to as many poses or stations are held out one at a time.
 _MOST_FOLDS = 60
 
 #: Number of folds if there are more poses than that.
 _FEW_FOLDS = 10
+
+#: Pieces of a path in each of these, of 100 rows or more: far longer than errors of neighbours are alike.
+_PIECES = 10
 
 #: From this number on whole stations are held out; of two, one half of all rows would be.
 _FEWEST_STATIONS = 3
@@ -40,7 +44,7 @@ _MOSTLY = 0.5
 class Folds:
     """Rows that are held out together; each row is in one fold."""
 
-    #: Name, such as ``"leave-one-out"``, ``"leave-one-station-out"`` or ``"10-fold"``
+    #: Name, such as ``"leave-one-out"``, ``"leave-one-station-out"``, ``"10-fold"`` or ``"10-fold-in-time"``
     method: str
     #: For each fold, True for the rows that it holds out, each of shape (N,)
     masks: tuple[Mask, ...]
@@ -51,6 +55,8 @@ class Folds:
         blocks: Integers,
         stations: Integers | None = None,
         measured_rows: int | None = None,
+        *,
+        in_time: bool = False,
     ) -> Folds:
         """Divide rows into folds: whole stations if at least three are given, else single poses, or tenths of many.
 
@@ -60,6 +66,8 @@ class Folds:
             stations: Number of the station of each row, shape (N,); None: stations are not held out whole.
             measured_rows: Number of rows that hold a measurement themselves, by default all: of a pair one does. It
                 decides on the method's name alone.
+            in_time: Whether blocks follow each other along a path: then a tenth consists of pieces of the path, as
+                neighbours tell much the same.
 
         Returns:
             The folds; a single one if all rows are of one block. Of very many stations several are held out together.
@@ -77,8 +85,13 @@ class Folds:
         present, block = np.unique(blocks, return_inverse=True)
         count = len(present)
         if count > _MOST_FOLDS:
+            name = f"{_FEW_FOLDS}-fold"
+            if in_time:
+                # Blocks are numbered in the order in which they occur.
+                block = block * (_FEW_FOLDS * _PIECES) // count
+                name = f"{_FEW_FOLDS}-fold-in-time"
             tenths = tuple(block % _FEW_FOLDS == k for k in range(_FEW_FOLDS))
-            return cls(f"{_FEW_FOLDS}-fold", tenths)
+            return cls(name, tenths)
         without_repeats = count in (len(blocks), measured_rows)
         method = "leave-one-out" if without_repeats else "leave-one-pose-out"
         return cls(method, tuple(block == k for k in range(count)))
@@ -110,7 +123,8 @@ class Folds:
         )
         is_measured = np.any(rows.used, axis=1)
         measured_rows = int(np.sum(is_measured))
-        folds = cls.of(rows.blocks, stations if whole else None, measured_rows)
+        in_time = along_path(rows.joints)
+        folds = cls.of(rows.blocks, stations if whole else None, measured_rows, in_time=in_time)
         if len(folds.masks) < 2:
             raise MeasurementError(
                 "These are rows of one pose, which tell nothing of the robot: its errors there cannot be told from the "
@@ -232,11 +246,12 @@ def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:
         True for the parameters of frames and targets that none of the other rows sees, shape (p,).
     """
     samples = fitted.estimate.problem.rows.samples
-    others = samples.select(~chosen)
+    parameters = fitted.kinematics.model.parameters
+    frames_seen, targets_seen = fitted.setup.seen_by(samples.select(~chosen))
+    if np.all(frames_seen) and np.all(targets_seen):
+        return np.zeros(len(parameters), dtype=bool)
     frames, targets = fitted.setup.places
-    frames_seen, targets_seen = fitted.setup.seen_by(others)
     unseen_frames = compress(frames, ~frames_seen)
     unseen_targets = compress(targets, ~targets_seen)
     unseen = {*unseen_frames, *unseen_targets}
-    parameters = fitted.kinematics.model.parameters
     return np.array([parameter.place in unseen for parameter in parameters], dtype=bool)

@@ -48,6 +48,7 @@ _HELD_OUT = {
     "leave-one-station-out": "each station predicted from the others, except for its own frame",
     "leave-stations-out": "some stations predicted from the others, except for their own frames",
     "10-fold": "a tenth of the poses at a time, predicted from the others",
+    "10-fold-in-time": "ten pieces of the path, a tenth of it, at a time, predicted from the others",
 }
 
 

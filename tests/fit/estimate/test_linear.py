@@ -98,7 +98,6 @@ def table(ur3) -> Measurements:
 def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
     whole = calibrate(ur3, table, model="dh")
     monkeypatch.setattr(kernel, "BLOCK", 100)
-    monkeypatch.setattr(problem, "PART", 300)
     parts = calibrate(ur3, table, model="dh")
     std = np.sqrt(np.diag(whole.covariance))
     np.testing.assert_allclose(parts.geometry.x, whole.geometry.x, atol=1e-6 * std.min())
@@ -110,8 +109,9 @@ def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
     assert [r.why for r in parts.verdict.reasons] == [r.why for r in whole.verdict.reasons]
 
 
+@pytest.mark.parametrize("most_kept", [0, 10**9])
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
+def test_the_linearised_problem_in_parts(ur3, kind, most_kept, monkeypatch):
     kinematics, rows = rows_of_kinds(ur3, KINDS[kind])
     x = np.random.default_rng(3).normal(0.0, 1e-4, len(kinematics.model))
     whole = problem.Problem.initial(kinematics, rows).linear(x)
@@ -124,9 +124,17 @@ def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     covariance, both = np.linalg.inv(data.H.sum(axis=1) + np.eye(len(x))), np.stack([x, 0.9 * x])
     scores = whole.scores(both, covariance, weights, noise)
     monkeypatch.setattr(kernel, "BLOCK", 31)
-    monkeypatch.setattr(problem, "PART", 50)
+    monkeypatch.setattr(problem, "_MOST_KEPT", most_kept)
     parts = problem.Problem.initial(kinematics, rows).linear(x)
-    np.testing.assert_allclose(parts.columns, whole.columns, rtol=1e-9, atol=1e-6)
+    if not np.any(rows.partner >= 0):
+        assert isinstance(parts.columns, np.ndarray) == (most_kept > 0)
+    every = slice(0, len(rows))
+    np.testing.assert_allclose(parts.columns_of(every), whole.columns, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(parts.residual(both), whole.residual(both), rtol=1e-9, atol=1e-6)
+    some = np.random.default_rng(5).uniform(size=len(rows)) < 0.5
+    np.testing.assert_allclose(
+        parts.select(some).columns, whole.select(some).columns, rtol=1e-9, atol=1e-6
+    )
     again = parts.normal_equations(weights, rho)
     np.testing.assert_allclose(again.H, data.H, rtol=1e-9, atol=1e-9 * np.abs(data.H).max())
     np.testing.assert_allclose(again.count, data.count)

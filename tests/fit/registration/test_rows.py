@@ -135,12 +135,6 @@ def test_a_frame_that_loses_more_than_half_of_its_rows_keeps_all():
     assert kept(4, 5) == [0, 1, 2, 3, 4, 5]
 
 
-def test_rows_with_pairs_are_one_part():
-    rng = np.random.default_rng(11)
-    assert some_rows(rng, [POINT] * 5).parts(2) == [slice(0, 2), slice(2, 4), slice(4, 6)]
-    assert some_rows(rng, [PAIR, NONE, POINT], [1, -1, -1]).parts(2) == [slice(0, 3)]
-
-
 MAKERS = {
     "point": lambda s: s.points(6),
     "pose": lambda s: s.poses(6),
