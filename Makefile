@@ -79,6 +79,8 @@ $(CALIB): pyproject.toml
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) --quiet uv || true
 	@$(call INSTALL,--editable '.[report]')
+	@# An editable package is not compiled with the others. A file that changes later is compiled again.
+	@$(BIN)/python -m compileall -q calib
 	@touch $(CALIB)
 
 $(TOOLS): $(CALIB)

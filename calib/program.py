@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -14,7 +15,9 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from calib.cli.verb import Verb, interruptible
+from calib.cli.exit_status import ExitStatus
+from calib.cli.interrupt import INTERRUPTED
+from calib.cli.verb import Verb
 
 #: The verbs, in the order of ``calib --help``; ``base-frame`` is that of the folder ``base_frame``. The docstring of a
 #: verb's package is what it does in one line.
@@ -69,6 +72,16 @@ def _command(name: str) -> Any:  # noqa: ANN401  a class of typer's own
     return get_command(single)
 
 
+@contextmanager
+def _saying_interrupted() -> Iterator[None]:
+    """Say that Ctrl-C ended the block, which typer does not, and what it says of the work that is kept."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        typer.echo(f"{INTERRUPTED} {error}".rstrip(), err=True)
+        raise typer.Exit(ExitStatus.INTERRUPTED) from error
+
+
 class Program(TyperGroup):
     """The group of the verbs."""
 
@@ -77,20 +90,20 @@ class Program(TyperGroup):
         super().__init__(**{**arguments, "commands": {}})
         self.commands = _Commands()  # type: ignore[assignment]
 
+    def make_context(self, *arguments: Any, **options: Any) -> Any:  # noqa: ANN401  typer's own
+        """Parse the options before the verb."""
+        with _saying_interrupted():
+            return super().make_context(*arguments, **options)
+
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401  typer's own
+        """Import a verb and run it."""
+        with _saying_interrupted():
+            return super().invoke(ctx)
+
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401
         """Return the names of the verbs."""
         del ctx
         return list(self.commands)
-
-    @interruptible()
-    def make_context(self, *arguments: Any, **named: Any) -> Any:  # noqa: ANN401
-        """Read the options before the verb."""
-        return super().make_context(*arguments, **named)
-
-    @interruptible()
-    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401
-        """Import and run a verb."""
-        return super().invoke(ctx)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
         """Write the verbs with what they do, without their commands."""

@@ -23,9 +23,15 @@ from tests.places import ROOT
 DOC = ROOT / "docs" / "command-line.md"
 HEAVY = ("numpy", "scipy", "pinocchio", "meshcat", "yourdfpy", "rich.progress")
 
+#: What a table's command does without: pictures, pages, meshes, SciPy's distributions and searches.
+OF_OTHERS = (
+    "cv2", "jinja2", "matplotlib", "meshcat", "networkx", "openpyxl", "PIL", "scipy.ndimage", "scipy.optimize",
+    "scipy.stats", "trimesh", "xacro", "yourdfpy",
+)  # fmt: skip
+
 WATCHED = f"""
 import atexit, os, sys
-heavy = {HEAVY!r}
+heavy = {HEAVY + OF_OTHERS!r}
 atexit.register(lambda: os.write(2, " ".join(name for name in heavy if name in sys.modules).encode()))
 from calib.__main__ import main
 sys.argv[0] = "calib"
@@ -46,6 +52,38 @@ def imported(folder: Path, *words: str) -> list[str]:
 def test_the_start_loads_nothing_heavy(tmp_path: Path, words: tuple[str, ...]):
     """Only the help of a verb that lists what is registered reads the registries."""
     assert imported(tmp_path, *words) == []
+
+
+OF_TABLES = {
+    "calibrate": "robot.urdf data.csv --base base --model dh -o c.urdf --json r.json",
+    "evaluate": "robot.urdf data.csv --base base",
+    "inspect": "robot.urdf data.csv --base base",
+    "compare": "result.json result.json",
+    "compensate": "robot.urdf joints.csv --calibration result.json -o commands.csv --accept --skip",
+    "convert": "result.json --to dh -o rows.csv --accept",
+    "simulate": "robot.urdf --base base -o table.csv",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", OF_TABLES)
+def test_a_command_of_tables_loads_nothing_for_pages_and_pictures(shop: Path, run, verb: str):
+    made = run(
+        shop,
+        "fit",
+        *["robot.urdf", "data.csv", "--base", "base", "--json", "result.json", "--no-validate"],
+    )
+    assert made.code == 0
+    loaded = imported(shop, verb, *OF_TABLES[verb].split())
+    assert set(loaded) & set(OF_OTHERS) == set()
+
+
+def test_a_calibration_loads_nothing_for_pages_and_pictures(shop: Path):
+    """The quickest call that fits and writes, in every run of the tests."""
+    words = "robot.urdf data.csv --base base --model zeros --no-validate -o c.urdf --quiet"
+    loaded = imported(shop, "fit", *words.split())
+    assert "scipy" in loaded
+    assert set(loaded) & set(OF_OTHERS) == set()
 
 
 def test_a_wrong_call_of_the_program_itself(run, tmp_path: Path):

@@ -15,7 +15,6 @@ import re
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.units import LENGTH, parse_amount
@@ -187,6 +186,8 @@ class Print(Value):
         """
         if self.offsets is None:
             return np.zeros((len(x), 2))
+        from scipy.ndimage import map_coordinates  # imported late, as few boards have offsets
+
         corners = self.board.corners
         columns, column = np.unique(corners[:, 0].round(_DIGITS), return_inverse=True)
         rows, row = np.unique(corners[:, 1].round(_DIGITS), return_inverse=True)

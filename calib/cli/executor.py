@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -74,7 +75,7 @@ def _dask_executor(address: str) -> Iterator[Executor]:
 
 @contextmanager
 def _process_pool(processes: int) -> Iterator[Executor]:
-    """Provide a pool of fresh processes; jobs that wait are cancelled if the block fails."""
+    """Provide a pool of fresh processes, which are terminated if the block fails."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
@@ -82,9 +83,17 @@ def _process_pool(processes: int) -> Iterator[Executor]:
     methods = multiprocessing.get_all_start_methods()
     method = "forkserver" if "forkserver" in methods else "spawn"
     context = multiprocessing.get_context(method)
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+    with ProcessPoolExecutor(processes, context, _leave_ctrl_c_to_the_parent) as pool:
         try:
             yield pool
         except BaseException:
+            # A terminated job leaves no half written file, and a job may last long.
+            for worker in multiprocessing.active_children():
+                worker.terminate()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _leave_ctrl_c_to_the_parent() -> None:
+    """Ignore Ctrl-C, which a terminal sends to all processes, in a worker: each would print where it was."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

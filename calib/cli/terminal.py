@@ -146,10 +146,10 @@ def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
         tasks: dict[str, TaskID] = {}
 
         def advance(stage: str, done: int, total: int) -> None:
-            """Show how much of a stage is done, in a bar that its first call adds."""
+            """Show how much of a stage is done, in a bar that its first call adds; of 0 in all: it moves to and fro."""
             if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
-            bar.update(tasks[stage], completed=done, total=total)
+                tasks[stage] = bar.add_task(stage, total=total or None)
+            bar.update(tasks[stage], completed=done, total=total or None)
 
         yield advance
 
@@ -167,6 +167,20 @@ def progress_bar(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], No
     """
     with stages_bar(quiet=quiet) as advance:
         yield None if advance is None else partial(advance, label)
+
+
+@contextmanager
+def moving_bar(label: str, *, quiet: bool) -> Iterator[None]:
+    """Show a bar on stderr that moves to and fro while the work in the block lasts, whose amount is not known.
+
+    Args:
+        label: The name of the work.
+        quiet: Whether no bar is wanted; nor is there one if stderr is not a terminal.
+    """
+    with progress_bar(label, quiet=quiet) as progress:
+        if progress is not None:
+            progress(0, 0)
+        yield
 
 
 class Pace:

@@ -176,7 +176,7 @@ class Motion:
             for share in self._shares:
                 of_body = moves[share.body].reshape(moves.shape[1], 3 * B)
                 velocity = share.twists[:, components] @ of_body
-                velocity = velocity.reshape(len(share.twists), 3, B)
+                velocity = velocity.reshape(len(velocity), 3, B)
                 if share.adds:
                     part[share.parameters] += velocity
                 else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 
 import pytest
 
@@ -28,3 +29,17 @@ def test_jobs_run_in_other_processes():
 def test_workers_and_dask_exclude_each_other():
     with pytest.raises(CalibError, match="--dask"), executor_of(2, "tcp://127.0.0.1:1", 3):
         pass
+
+
+def test_a_block_that_fails_does_not_wait_for_its_jobs():
+    def fail() -> None:
+        with executor_of(2, None, 2) as executor:
+            assert executor is not None
+            executor.submit(os.getpid).result()  # the workers run
+            executor.submit(time.sleep, 60.0)
+            raise KeyboardInterrupt
+
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert time.monotonic() - begin < 20.0

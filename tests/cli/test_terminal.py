@@ -157,3 +157,19 @@ def test_lines_break_at_100_columns_and_not_within_names():
     assert lines[-1] == f"    {name}"
     assert lines[0].startswith("  word")
     assert max(map(len, lines[:-1])) <= 100
+
+
+MOVING = """
+import time
+from calib.cli.terminal import moving_bar
+with moving_bar("Looking", quiet=QUIET):
+    time.sleep(0.3)
+"""
+
+
+@pytest.mark.slow
+def test_a_bar_of_work_without_an_amount():
+    seen = on_a_terminal(MOVING.replace("QUIET", "False"))
+    assert "Looking" in seen
+    assert "%" not in seen.replace("  0%", "")
+    assert on_a_terminal(MOVING.replace("QUIET", "True")) == ""

@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from calib.basics.arrays import Array
 from calib.basics.values import Value
@@ -101,6 +100,8 @@ def fit_planar_map(
     Returns:
         The map.
     """
+    from scipy.optimize import minimize_scalar  # imported late, as only pictures need it
+
     middle = (np.array(image_size, dtype=float) - 1.0) / 2.0
     half_diagonal = 0.5 * float(np.hypot(*image_size))
     distorted = (pixels - middle) / half_diagonal

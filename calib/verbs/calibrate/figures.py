@@ -6,8 +6,8 @@ makes a file of one, `write_figures` writes all and their captions beside them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -105,7 +105,7 @@ FIGURES: dict[str, FigureKind] = {
 
 def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
     """Return the figures that apply to a calibration, in a report's order; none is drawn yet."""
-    captions = yaml.safe_load((Path(__file__).parent / "captions.yaml").read_text("utf-8"))
+    captions = _captions()
     # The texts that captions name in braces.
     m = calibration.fit.measurements
     estimation = rows_text(m.estimation, "estimation")
@@ -135,6 +135,15 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
             draw = partial(kind.draw, calibration)
             made.append(Drawing(name, entry["section"], entry["title"], caption, draw))
     return tuple(made)
+
+
+@cache
+def _captions() -> Mapping[str, Mapping[str, str]]:
+    """Return section, title and caption of each figure, by its name and these words."""
+    entries: Mapping[str, Mapping[str, str]] = yaml.safe_load(
+        (Path(__file__).parent / "captions.yaml").read_text("utf-8")
+    )
+    return entries
 
 
 def write_figures(

@@ -94,7 +94,7 @@ class _Scene(NamedTuple):
     shapes: pin.GeometryModel
     #: Least distance of each pair [m]: a pair that is closer counts as touching.
     margins: Sequence[float] = ()
-    #: Pinocchio's working memory for each of the processor's cores; None without pairs.
+    #: Pinocchio's memory for each of the processor's cores; None without pairs, and of a Pinocchio without OpenMP.
     pool: pin.GeometryPool | None = None
 
     @classmethod
@@ -118,9 +118,11 @@ class _Scene(NamedTuple):
         shapes.removeAllCollisionPairs()
         for first, second in pairs:
             shapes.addCollisionPair(pin.CollisionPair(first, second))
-        pool = pin.GeometryPool(self.model, shapes, _CORES)
-        for core in range(_CORES):
-            _set_margins(pool.getGeometryData(core), margins)
+        pool = None
+        if hasattr(pin, "GeometryPool"):
+            pool = pin.GeometryPool(self.model, shapes, _CORES)
+            for core in range(_CORES):
+                _set_margins(pool.getGeometryData(core), margins)
         return _Scene(self.model, shapes, margins, pool)
 
     def new_data(self) -> tuple[pin.Data, pin.GeometryData]:
@@ -134,9 +136,16 @@ class _Scene(NamedTuple):
 
         With ``first`` none is compared after the first one at which a pair is, so that those behind it may be missing.
         """
+        if self.pool is None:
+            data, geometry_data = self.new_data()
+            touching = [
+                pin.computeCollisions(self.model, data, self.shapes, geometry_data, each, True)
+                for each in configurations
+            ]
+            return np.array(touching, dtype=np.bool_)
         parts = [np.zeros(0, dtype=np.bool_)]
         # In blocks, so that the program can be interrupted; of a path at once, by one core.
-        size = len(configurations) if first else _BLOCK
+        size = max(len(configurations), 1) if first else _BLOCK
         for start in range(0, len(configurations), size):
             block = np.asfortranarray(configurations[start : start + size].T)
             cores = 1 if first else _CORES

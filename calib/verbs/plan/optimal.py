@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dtrmm
 
 from calib.basics.arrays import Array
-from calib.robot.kernel import over_blocks
+from calib.robot.kernel import over_blocks, sum_over_blocks
 from calib.verbs.plan.forecast import information
 
 Indices = NDArray[np.int_]
@@ -225,7 +225,7 @@ def ranking(blocks: Array, basis: Basis) -> Array:
     power = 1.0 if basis.target is None else 0.5
     sensitivity = weights = np.full(n, 1.0 / n)
     for _ in range(_RANKING_STEPS):
-        M = np.sum(over_blocks(information_of, n), axis=0)
+        M = sum_over_blocks(information_of, n)
         C = np.linalg.inv(M + _LEASH * np.eye(r))
         if basis.target is not None:
             # So that the target has a root, and is symmetric in spite of rounding.

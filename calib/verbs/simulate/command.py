@@ -11,7 +11,7 @@ import typer
 from calib.cli.loading import load
 from calib.cli.options import ColumnChoice, Force, ModelOptions, Quiet, RobotFile
 from calib.cli.output_files import check_outputs, written_lines
-from calib.cli.terminal import progress_bar
+from calib.cli.terminal import moving_bar, progress_bar
 from calib.cli.verb import verb
 from calib.errors import CalibError
 from calib.verbs.simulate.scenario_words import ScenarioWords
@@ -128,19 +128,23 @@ def simulate(
         joints, sets, moves, validation = table.joints, table.sets, table.moves, 0
     if poses.validation is not None:
         validation = poses.validation
-    simulated = simulate_rows(scenario, poses.count, validation, poses.seed, joints, sets, moves)
+    with moving_bar("rows", quiet=quiet):
+        simulated = simulate_rows(
+            scenario, poses.count, validation, poses.seed, joints, sets, moves
+        )
 
     written = []
     if images is not None:
         with progress_bar("pictures", quiet=quiet) as progress:
             drawn = write_pictures(simulated, images, overwrite=force, progress=progress)
         written += [path for path in drawn if path.suffix != ".png"]
-    if output is not None:
-        simulated.measurements.write(output, overwrite=force)
-        written.append(output)
-    written.append(write_truth(scenario, simulated, truth, overwrite=force))
-    if truth_urdf is not None:
-        written.append(simulated.truth.write_urdf(truth_urdf, overwrite=force))
+    with moving_bar("writing", quiet=quiet):
+        if output is not None:
+            simulated.measurements.write(output, overwrite=force)
+            written.append(output)
+        written.append(write_truth(scenario, simulated, truth, overwrite=force))
+        if truth_urdf is not None:
+            written.append(simulated.truth.write_urdf(truth_urdf, overwrite=force))
     if not quiet:
         text = simulated_text(scenario, simulated)
         typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))

@@ -24,6 +24,7 @@ from calib.cli.options import (
     TableOptions,
 )
 from calib.cli.output_files import check_outputs
+from calib.cli.terminal import moving_bar
 from calib.cli.verb import verb
 from calib.errors import CalibError
 
@@ -106,7 +107,8 @@ def view(
             cells = [with_target_link(one, cell) for one in (arm, second or arm)]
         shown = view_of_robots(arm, second, measurements, cells=cells)
 
-    page = view_page(shown)
+    with moving_bar("page", quiet=quiet):
+        page = view_page(shown)
     written = write_or_open(page, output, overwrite=force)
     if not quiet:
         for warning in page.warnings:

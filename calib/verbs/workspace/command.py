@@ -10,7 +10,7 @@ import typer
 from calib.cli.loading import load
 from calib.cli.options import CellOptions, ColumnChoice, Force, Quiet, RobotFile, Seed
 from calib.cli.output_files import check_outputs, written_lines
-from calib.cli.terminal import progress_bar
+from calib.cli.terminal import moving_bar, progress_bar
 from calib.cli.verb import verb
 
 _File = Path | None
@@ -123,22 +123,22 @@ def workspace(
         (target,) = cell.targets.values()
     with progress_bar("workspace", quiet=quiet) as progress:
         points = workspace_points(arm, target, limits, samples, seed, progress)
-    density = Density.of(points, edge)
-    checked = None
-    checked_path = check or like
-    if checked_path is not None:
-        rows = tables[checked_path]
-        checked = Checked(rows, *row_points(arm, rows, cell, target))
-    found = RegionView(arm, target, limits, density, density.region(share), checked)
+    with moving_bar("region", quiet=quiet):
+        density = Density.of(points, edge)
+        checked = None
+        checked_path = check or like
+        if checked_path is not None:
+            rows = tables[checked_path]
+            checked = Checked(rows, *row_points(arm, rows, cell, target))
+        found = RegionView(arm, target, limits, density, density.region(share), checked)
+        if output is not None:
+            write_region(found, output, seed, overwrite=force)
+        if picture is not None:
+            write_picture(found, picture, overwrite=force)
+        if view is not None:
+            from calib.verbs.workspace.region_page import region_page  # with meshcat
 
-    if output is not None:
-        write_region(found, output, seed, overwrite=force)
-    if picture is not None:
-        write_picture(found, picture, overwrite=force)
-    if view is not None:
-        from calib.verbs.workspace.region_page import region_page  # with meshcat
-
-        region_page(found).write(view, overwrite=force)
+            region_page(found).write(view, overwrite=force)
     if quiet:
         return
     origin = ""

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from calib.basics.arguments import check_number, check_type, finite_numbers, numbers, wrong_type
 from calib.basics.arrays import Array, Mask
@@ -299,6 +298,8 @@ def _smooth(counts: NDArray[np.int64]) -> tuple[Array, Array]:
 
 def _spread(values: Array, weights: Array) -> Array:
     """Convolve values (nx, ny, nz) along each axis with weights (3,) of a voxel and its neighbours; 0 outside."""
+    from scipy import ndimage  # imported late: a region that was written has been smoothed
+
     spread = values
     for axis in range(3):
         spread = ndimage.convolve1d(spread, weights, axis=axis, mode="constant")

@@ -306,3 +306,17 @@ def test_the_ur3_agrees_with_fcl(boxed):
     expected = [not fcl_touches(objects(ur3(), row, boxes), pairs) for row in q]
     assert 100 < np.count_nonzero(free) < 340
     np.testing.assert_array_equal(free, expected)
+
+
+def test_cores_find_what_one_configuration_after_the_other_does():
+    robot = Robot.load("ur3", "base", "tool0")
+    model = CollisionModel.of(robot, targets={"target": [0.07, -0.07, 0.02]})
+    scene = model._scene
+    configurations = model._configurations(spread_poses(robot, 1500))  # more than one block
+    expected = scene._replace(pool=None).touches(configurations)
+    assert 0.1 < expected.mean() < 0.9
+    np.testing.assert_array_equal(scene.touches(configurations), expected)
+    for some in (configurations[expected][:50], configurations[~expected][:50]):
+        found = scene.touches(some, first=True).any()
+        assert found == scene._replace(pool=None).touches(some).any()
+    assert scene.touches(configurations[:0]).shape == (0,)
