@@ -60,16 +60,17 @@ def peak_memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def simulate(count: int) -> tuple[Robot, Measurements]:
+def simulate(count: int, seed: int = 0) -> tuple[Robot, Measurements]:
     """Draw the robot's errors and measure points.
 
     Args:
         count: Number of rows.
+        seed: Of the random numbers.
 
     Returns:
         The nominal robot, and a table of points.
     """
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     model = error_model(robot, "dh", target=True)
     x = draw_errors(model, 3e-4, 3e-3, rng)
