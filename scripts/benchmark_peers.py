@@ -13,6 +13,7 @@ lens, camera on the hand and board on the base together, begun there, the arm as
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 import time
@@ -29,12 +30,11 @@ Array = NDArray[np.float64]
 
 def robotkinecal(data: dict[str, Array]) -> dict[str, Any]:
     """Fit joint screws and the target to points, and predict fresh ones."""
-    import roboticstoolbox as rtb
-    from robotkinecal import SerialRobotKineCal
-
+    rtb = importlib.import_module("roboticstoolbox")
+    peer = importlib.import_module("robotkinecal")
     robot = rtb.ERobot.URDF(str(data["urdf"]))
     began = time.perf_counter()
-    fit = SerialRobotKineCal(robot, ee_name="target")
+    fit = peer.SerialRobotKineCal(robot, ee_name="target")
     fit.set_observations(list(data["joints"]), list(data["points"]))
     fit.solve()
     seconds = time.perf_counter() - began
@@ -49,12 +49,13 @@ def robotkinecal(data: dict[str, Array]) -> dict[str, Any]:
 
 def camera_and_hand_eye(data: dict[str, Array]) -> dict[str, Any]:
     """Calibrate the lens, then the camera on the hand; the board is where the mean of the pictures has it."""
-    import cv2
-
+    cv2 = importlib.import_module("cv2")
     began = time.perf_counter()
     points, pixels = data["board"].astype(np.float32), data["pixels"].astype(np.float32)
     size = tuple(int(length) for length in data["size"])
-    _, K, lens, turns, places = cv2.calibrateCamera([points] * len(pixels), pixels, size, None, None)
+    _, K, lens, turns, places = cv2.calibrateCamera(
+        [points] * len(pixels), pixels, size, None, None
+    )
     boards = [pose(np.concatenate([np.ravel(t), np.ravel(p)])) for t, p in zip(turns, places)]  # noqa: B905
     hands = data["T_base_hand"]
     R, t = cv2.calibrateHandEye(
@@ -93,7 +94,10 @@ def bundle(data: dict[str, Array], start: dict[str, Any] | None) -> dict[str, An
         T_hand_camera, T_base_board = data["T_hand_camera"], data["T_base_board"]
         lens = np.concatenate([data["guess"], np.zeros(5)])
     else:
-        T_hand_camera, T_base_board = np.array(start["T_hand_camera"]), np.array(start["T_base_board"])
+        T_hand_camera, T_base_board = (
+            np.array(start["T_hand_camera"]),
+            np.array(start["T_base_board"]),
+        )
         lens = np.array(start["lens"])
 
     def residual(x: Array) -> Array:
