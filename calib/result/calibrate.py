@@ -15,6 +15,7 @@ from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
+from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
@@ -110,6 +111,7 @@ def calibrate(
         rows, setup = rows_and_setup(arm, measured, stated)
         arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
     measured = numbered_from_one_end(arm, measured, stated)
+    begin(Stage.MISTAKES)
     measured, found, wrong = without_mistakes_of_pictures(arm, stated, measured)
     measured, thinned = with_fewer_corners(measured)
     found += thinned
@@ -122,6 +124,7 @@ def calibrate(
         robust=robust,
         mistake=wrong,
     )
+    begin(Stage.VERDICT)
     drift = None
     if validate and not fits.mistake:
         drift = _found_drift(measured, fits)
@@ -227,6 +230,7 @@ def _assemble_validated(
     the next candidates are tried, and none stays if none does. One that the user named stays.
     """
     outliers = fits.geometry.estimate.outliers
+    begin(Stage.FOLDS)
 
     def validate(fitted: Fitted, part: int, parts: int) -> CrossValidation:
         """Cross-validate a fit, reported as one of several parts that have as many folds each."""
@@ -266,6 +270,7 @@ def _assemble_validated(
         name = "" if confirmed is None else str(confirmed.task.model)
         candidates = mark_chosen(fits.candidates, str(fits.geometry.task.model), name)
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
+    begin(Stage.VERDICT)
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)

@@ -19,6 +19,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.jobs import Progress
+from calib.basics.progress import counted
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
@@ -81,9 +82,13 @@ def cross_validation(
     folds = Folds.of_task(fitted.task, rows)
     by_linear_problem = held_out_residuals_linear(fitted, folds.masks, outliers)
     residuals = []
+    refits = 0
+    to_refit = len(folds.masks) - len(by_linear_problem)
     for k, mask in enumerate(folds.masks):
         residual = by_linear_problem.get(k)
         if residual is None:
+            counted(refits, to_refit)
+            refits += 1
             without_fold = fit(fitted.task, rows.select(~mask))
             residual = held_out_residual(without_fold, rows, mask, outliers)
         residuals.append(residual)
