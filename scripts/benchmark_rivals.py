@@ -101,7 +101,9 @@ def picture_rows(peers: str) -> Iterator[list[str]]:
             values = result.optics.cameras[""].values
             assert values is not None
             T_hand_camera = rigid_inverse(result.T_frame_base)
-            found = truth.errors(result.predict_poses(truth.fresh), T_hand_camera, float(values[0]))
+            part = result.part(non_geometric=True)
+            T = part.kinematics.poses(part.x, result.samples(truth.fresh))
+            found = truth.errors(T, T_hand_camera, float(values[0]))
             figures[f"calib, `--model {model}`"].append([seconds, *found])
 
         # The chain begins at the hand, which carries the camera.

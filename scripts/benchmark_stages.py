@@ -37,6 +37,7 @@ STAGES: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("calib.fit.selection.cross_validation", "cross_validation"),
         ("calib.fit.selection.cross_validation", "nominal_cross_validation"),
     ),
+    "result": (("calib.result.calibrate", "_assemble"),),
     "verdict": (("calib.result.collected_evidence", "add_verdicts"),),
     "planning": (("calib.verbs.plan.plan", "plan"),),
     "corners": (("calib.boards.detection.detect", "detect"),),
