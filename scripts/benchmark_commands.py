@@ -174,27 +174,38 @@ def of_fleet(robots: int) -> Prepare:
     return prepare
 
 
-def of_drawn_pictures(pictures: int) -> Prepare:
-    """Return how corners are found in so many drawn pictures of 1280 x 720."""
+def of_drawn_pictures(pictures: int, drawn: str = "", described: str = "") -> Prepare:
+    """Return how corners are found in so many drawn pictures of 1280 x 720.
+
+    Args:
+        pictures: Their number. Ten are drawn, and used as often as needed: drawing takes longer than searching.
+        drawn: Description of the board; "" for a usual one.
+        described: What the description says instead; "" if it is right.
+    """
 
     def prepare(folder: Path) -> list[str]:
         options = ["--kind", "pixel", "--camera-on", "tool0", "--board-on", "base_link"]
-        options += ["--camera", "1280x720", "--validation", "0"]
-        # Ten are drawn, and each is there as often as needed: drawing takes longer than searching.
-        drawn = ["--count", "10", "--images", "drawn", "--force"]
-        run_calib(folder, ["simulate", "ur5", *options, *drawn])
+        options += ["--camera", "1280x720", "--validation", "0", "--count", "10"]
+        if drawn:
+            (folder / "drawn.toml").write_text(drawn, encoding="utf-8")
+            options += ["--board", "drawn.toml"]
+        run_calib(folder, ["simulate", "ur5", *options, "--images", "drawn", "--force"])
         source = folder / "drawn"
+        board = described or (source / "board.toml").read_text(encoding="utf-8")
+        (folder / "board.toml").write_text(board, encoding="utf-8")
+
         head, *rows = (source / "joints.csv").read_text(encoding="utf-8").splitlines()
-        names = sorted(path.name for path in source.glob("*.png"))
+        column = head.split(",").index("image")
         lines = [head]
         for k in range(pictures):
-            name = names[k % len(names)]
-            (source / f"{k}_{name}").write_bytes((source / name).read_bytes())
-            row = next(row for row in rows if name in row or Path(name).stem in row)
-            lines.append(row.replace(Path(name).stem, f"{k}_{Path(name).stem}"))
+            cells = rows[k % len(rows)].split(",")
+            picture = next(source.glob(f"{Path(cells[column]).stem}.png"))
+            cells[column] = f"copy_{k}.png"
+            (source / cells[column]).write_bytes(picture.read_bytes())
+            lines.append(",".join(cells))
         (folder / "joints.csv").write_text("\n".join(lines), encoding="utf-8")
-        inputs = ["drawn/*_*_*.png", "--board", "drawn/board.toml", "--joints", "joints.csv"]
-        return ["detect", *inputs, "-o", "corners.csv", "--force", "--quiet"]
+        inputs = ["drawn/copy_*.png", "--board", "board.toml", "--joints", "joints.csv"]
+        return ["detect", *inputs, "-o", "corners.csv", "--force"]
 
     return prepare
 
@@ -250,4 +261,20 @@ COMMANDS: Mapping[str, Prepare] = {
     "`calib view`, 35 rows": of_view,
     "`calib demo`": of_demo,
     "`calib fleet`, 20 robots of 30 rows": of_fleet(20),
+}
+
+#: Pictures whose board is described wrongly, and words of the finding that names the cause.
+WRONG_BOARDS: Mapping[str, tuple[Prepare, str]] = {
+    "`calib detect`: markers of another dictionary": (
+        of_drawn_pictures(24, BOARDS[24], BOARDS[24].replace("5X5", "6X6")),
+        "the markers are from DICT_5X5_50",
+    ),
+    "`calib detect`: other ids of markers": (
+        of_drawn_pictures(24, BOARDS[24], BOARDS[24] + "first_marker = 40\n"),
+        "the first marker has the id 0",
+    ),
+    "`calib detect`: inner corners for squares": (
+        of_drawn_pictures(24, BOARDS[63], BOARDS[63].replace("10", "9").replace("8", "7")),
+        "numbers of inner corners",
+    ),
 }
