@@ -17,6 +17,7 @@ import importlib
 import json
 import sys
 import time
+import warnings
 from typing import Any
 
 import numpy as np
@@ -145,6 +146,7 @@ def vector(T: Array) -> Array:
 
 def main() -> None:
     """Print what each program finds that is installed here."""
+    warnings.simplefilter("ignore")  # of programs that are not calib's
     with np.load(sys.argv[1]) as file:
         data = dict(file)
     found: dict[str, Any] = {}
