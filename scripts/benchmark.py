@@ -48,7 +48,7 @@ from calib.verbs.simulate.scenario import Scenario
 
 #: Numbers of rows of fits alone, and of `calibrate` without reading a table.
 SIZES = (30, 300, 3_000, 30_000, 300_000, 1_000_000)
-WHOLE = (30, 300, 3_000, 30_000)
+WHOLE = (30, 300, 3_000)
 
 #: Largest number of rows for SciPy with Pinocchio's regressor, and with finite differences: some ten seconds each.
 SCIPY_SIZE, DIFFERENCES_SIZE = 3_000, 300
