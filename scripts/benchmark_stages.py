@@ -46,6 +46,9 @@ STAGES: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("calib.result.calibration", "Calibration.write_urdf"),
         ("calib.result.calibration", "Calibration.write_json"),
         ("calib.result.calibration", "Calibration.write_report"),
+        ("calib.result.calibration", "Calibration.summary"),
+        ("calib.verbs.calibrate.report", "write_report"),
+        ("calib.verbs.calibrate.write_urdf", "write_urdf"),
         ("calib.basics.files", "write_atomically"),
     ),
 }
