@@ -321,7 +321,9 @@ def main() -> None:
         print_table(parts[name].titles, rows)
         print(f"({name}: {time.perf_counter() - began:.0f} s)\n", flush=True)
         if arguments.write and rows:
-            write_table(name, parts[name].titles, rows)
+            # Other programs need not be there each time.
+            keep = bool(arguments.row) or name in ("pass", "pictures", "points")
+            write_table(name, parts[name].titles, rows, keep=keep)
 
 
 if __name__ == "__main__":

@@ -18,19 +18,21 @@ def cells_of(name: str) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in rows[2:]]
 
 
-def write_table(name: str, titles: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Put a table into the page; rows that were not measured keep their place and cells.
+def write_table(
+    name: str, titles: Sequence[str], rows: Iterable[Sequence[str]], *, keep: bool
+) -> None:
+    """Put a table into the page.
 
     Args:
         name: Name of the table between its marks.
         titles: Titles of the columns.
         rows: Cells of the rows that were measured.
+        keep: Whether rows that were not measured keep their place and cells; otherwise they go.
     """
     text = PAGE.read_text(encoding="utf-8")
     head, _, tail = _parts(text, name)
-    measured = {row[0]: list(row) for row in rows}
-    kept = {row[0]: row for row in cells_of(name) if len(row) == len(titles)}
-    merged = {**kept, **measured}
+    kept = [row for row in cells_of(name) if keep and len(row) == len(titles)]
+    merged = {row[0]: row for row in (*kept, *map(list, rows))}
     table = "\n".join(table_lines(titles, merged.values()))
     PAGE.write_text(f"{head}\n\n{table}\n\n{tail}", encoding="utf-8")
 

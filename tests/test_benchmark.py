@@ -57,11 +57,15 @@ def test_a_row_that_is_not_measured_stays(tmp_path: Path, monkeypatch: pytest.Mo
     page = tmp_path / "page.md"
     page.write_text(PAGE)
     monkeypatch.setattr(benchmark_page, "PAGE", page)
-    benchmark_page.write_table("times", ["command", "time"], [["two", "3 s"], ["three", "4 s"]])
+    rows = [["two", "3 s"], ["three", "4 s"]]
+    benchmark_page.write_table("times", ["command", "time"], rows, keep=True)
     assert benchmark_page.cells_of("times") == [["one", "1 s"], ["two", "3 s"], ["three", "4 s"]]
     assert page.read_text().endswith("<!-- end of times -->\nafter\n")
+    benchmark_page.write_table("times", ["command", "time"], rows, keep=False)
+    assert benchmark_page.cells_of("times") == rows
     # Rows of other columns are not those of this table.
-    benchmark_page.write_table("times", ["command", "time", "memory"], [["one", "1 s", "2 MB"]])
+    titles = ["command", "time", "memory"]
+    benchmark_page.write_table("times", titles, [["one", "1 s", "2 MB"]], keep=True)
     assert benchmark_page.cells_of("times") == [["one", "1 s", "2 MB"]]
 
 
