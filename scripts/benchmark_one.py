@@ -60,16 +60,17 @@ def peak_memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def simulate(count: int) -> tuple[Robot, Measurements]:
+def simulate(count: int, seed: int = 0) -> tuple[Robot, Measurements]:
     """Draw the robot's errors and measure points.
 
     Args:
         count: Number of rows.
+        seed: Of the random numbers.
 
     Returns:
         The nominal robot, and a table of points.
     """
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     model = error_model(robot, "dh", target=True)
     x = draw_errors(model, 3e-4, 3e-3, rng)
@@ -89,20 +90,25 @@ def fit_input(count: int) -> tuple[Task, Rows]:
     return Task(robot, cell, setup, "dh"), rows
 
 
-def measure_pass(count: int) -> dict[str, float]:
-    """Measure the residual, its 27 columns and the normal equations of so many rows."""
+def one_pass(count: int) -> Callable[[], object]:
+    """Return a pass over so many rows: the residual, its 27 columns and the normal equations."""
     task, rows = fit_input(count)
     model = error_model(task.robot, "dh", target=True)
     kinematics = Kinematics(task.robot, model, np.eye(4), np.eye(4))
     x = np.zeros(len(model))
     weights = np.ones((1, len(rows)))
 
-    def one_pass() -> None:
+    def run() -> None:
         """Form the normal equations."""
         problem = Problem.initial(kinematics, rows)
         problem.linear(x).normal_equations(weights, problem.stop_shares)
 
-    return {"seconds": best_time(one_pass, 5)}
+    return run
+
+
+def measure_pass(count: int) -> dict[str, float]:
+    """Measure one pass over so many rows."""
+    return {"seconds": best_time(one_pass(count), 5)}
 
 
 def measure_fit(count: int) -> dict[str, float]:
@@ -189,8 +195,8 @@ class PlainFit:
         return time.perf_counter() - began
 
 
-def measure_plain(count: int) -> dict[str, float]:
-    """Measure plain least squares: with finite differences, as most scripts do it, and with the derivative."""
+def plain_fit(count: int) -> PlainFit:
+    """Return plain least squares on so many rows, after a check that it predicts the same points as calib."""
     task, rows = fit_input(count)
     plain = PlainFit(task.robot, task.robot.chain_values(rows.joints), rows.measured[:, :3])
     # Times compare only if both fit the same points.
@@ -198,14 +204,26 @@ def measure_plain(count: int) -> dict[str, float]:
     model = error_model(task.robot, "dh", target=True)
     kinematics = Kinematics(task.robot, model, np.eye(4), pose_of(TARGET))
     np.testing.assert_allclose(points, kinematics.points(np.zeros(27), rows.joints), atol=1e-12)
-    return {"differences": plain.solve("2-point"), "regressor": plain.solve(plain.derivative)}
+    return plain
+
+
+def measure_differences(count: int) -> dict[str, float]:
+    """Measure plain least squares with finite differences, as most scripts do it."""
+    return {"seconds": plain_fit(count).solve("2-point")}
+
+
+def measure_regressor(count: int) -> dict[str, float]:
+    """Measure plain least squares with the derivative by Pinocchio's regressor."""
+    plain = plain_fit(count)
+    return {"seconds": plain.solve(plain.derivative)}
 
 
 MEASUREMENTS = {
     "pass": measure_pass,
     "fit": measure_fit,
     "calibration": measure_calibration,
-    "plain": measure_plain,
+    "differences": measure_differences,
+    "regressor": measure_regressor,
 }
 
 

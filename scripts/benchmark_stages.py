@@ -37,6 +37,7 @@ STAGES: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("calib.fit.selection.cross_validation", "cross_validation"),
         ("calib.fit.selection.cross_validation", "nominal_cross_validation"),
     ),
+    "result": (("calib.result.calibrate", "_assemble"),),
     "verdict": (("calib.result.collected_evidence", "add_verdicts"),),
     "planning": (("calib.verbs.plan.plan", "plan"),),
     "corners": (("calib.boards.detection.detect", "detect"),),
@@ -45,6 +46,9 @@ STAGES: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("calib.result.calibration", "Calibration.write_urdf"),
         ("calib.result.calibration", "Calibration.write_json"),
         ("calib.result.calibration", "Calibration.write_report"),
+        ("calib.result.calibration", "Calibration.summary"),
+        ("calib.verbs.calibrate.report", "write_report"),
+        ("calib.verbs.calibrate.write_urdf", "write_urdf"),
         ("calib.basics.files", "write_atomically"),
     ),
 }

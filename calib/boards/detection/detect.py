@@ -120,6 +120,8 @@ def detect(
         other_prints = _other_prints(boards, list(first.values()), executor)
         search = replace(search, quick=tuple(other_prints))
         by_number = {numbers[k]: first[k] for k in first if _is_complete(first[k])}
+        if progress is not None and by_number:
+            progress(len(by_number), len(files))
     remaining = [number for number in range(len(files)) if number not in by_number]
     found = jobs.run(search_picture, search, [files[number] for number in remaining], executor)
     for place, picture in found:

@@ -125,6 +125,8 @@ def detect(
         executor_of(workers, None, len(files)) as executor,
         progress_bar("pictures", quiet=quiet) as progress,
     ):
+        if progress is not None:
+            progress(0, len(files))
         found = detect_boards(
             with_cameras(files, matches),
             boards,

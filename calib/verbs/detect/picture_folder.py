@@ -79,6 +79,8 @@ def _find_corners(
         executor_of(None, None, len(files)) as executor,
         progress_bar("pictures", quiet=quiet) as progress,
     ):
+        if progress is not None:
+            progress(0, len(files))
         found = detect(with_cameras(files, matches), boards, executor=executor, progress=progress)
     detection = with_rows_only(found, matches)
     lines = detection_text(detection, joints, matches)

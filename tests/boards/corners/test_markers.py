@@ -18,6 +18,7 @@ from calib.boards.corners.markers import (
     no_markers,
     place_board,
 )
+from calib.boards.dictionaries import opencv_dictionary
 from calib.errors import CalibError
 from tests.boards.board_views import CHARUCO_BOARD, View, render
 
@@ -64,6 +65,7 @@ def test_an_empty_picture_has_none():
 
 
 def test_a_dictionary_that_this_opencv_lacks(monkeypatch: pytest.MonkeyPatch):
+    opencv_dictionary.cache_clear()  # another test may have asked for it
     monkeypatch.delattr(cv2.aruco, "DICT_ARUCO_MIP_36h12")
     with pytest.raises(CalibError, match="DICT_ARUCO_MIP_36h12"):
         find_markers(np.zeros((10, 10), np.uint8), "DICT_ARUCO_MIP_36h12")
