@@ -8,13 +8,15 @@ have the covariance
 
     V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T + rho_q J_q J_q^T
 
-with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, together d directions,
-each scaled so that the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar,
+with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, each scaled so that the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar,
 rho_t, rho_r and rho_q are the shares of its variance that the targets of a stop have in common, and the share
 kappa = 1 - rho_t - rho_r - rho_q is independent. With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q], as in
 any mixed model (C. R. Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
+
+Joints move the targets on one link as the body itself: J_q = [J_t J_r] L, and G = [J_t J_r] D^1/2 of six columns has
+the same G G^T, with the covariance D = diag(rho_t, rho_r) + rho_q L L^T of the body's displacement.
 
 A stop at which the robot was off as a whole, as hardly any other was, is thrown out whole. Its score is the norm of the
 displacement of its body, measured minus predicted by a fit without the stop, in standard deviations of what V and that
