@@ -8,10 +8,11 @@ have the covariance
 
     V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T + rho_q J_q J_q^T
 
-with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, each scaled so that the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar,
-rho_t, rho_r and rho_q are the shares of its variance that the targets of a stop have in common, and the share
-kappa = 1 - rho_t - rho_r - rho_q is independent. With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q], as in
-any mixed model (C. R. Henderson, 1953),
+with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, each scaled so that
+the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar, rho_t, rho_r and
+rho_q are the shares of its variance that the targets of a stop have in common, and the share kappa = 1 - rho_t - rho_r
+- rho_q is independent. With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q], as in any mixed model (C. R.
+Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
 
