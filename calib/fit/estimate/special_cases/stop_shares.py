@@ -135,11 +135,14 @@ class Moments:
         bodies = int(np.sum(np.linalg.matrix_rank(of_bodies, hermitian=True)))
         if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
             return np.zeros(len(PARTS))
+        last = None
         for _ in range(_STEPS):
-            before = rho
-            rho = _shares_of(self._components(rho))
-            if np.max(np.abs(rho - before)) < _SETTLED * unshared(rho):
-                break
+            found = _shares_of(self._components(rho))
+            if np.max(np.abs(found - rho)) < _SETTLED * unshared(found):
+                return found
+            latest = (rho[None, None], found[None, None])
+            rho = found if last is None else extrapolated(last, latest)[0, 0]
+            last = latest
         return rho
 
     def _components(self, rho: Array) -> Array:
