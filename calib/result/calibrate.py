@@ -25,6 +25,7 @@ from calib.diagnosis.coverage import outside
 from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.picture_mistakes import mistakes_of_pictures
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
+from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.errors import ModelError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.registration.board_ends import numbered_from_one_end
@@ -127,6 +128,7 @@ def calibrate(
         solver=solver,
         robust=robust,
         mistake=wrong,
+        search=not np.all(measured.is_image),
     )
     drift = patterns = None
     if validate and not fits.mistake:
@@ -164,6 +166,12 @@ def without_mistakes_of_pictures(
     """
     found: list[Reason] = []
     for find in (mistakes_of_pictures, changes_between_pictures):
+        if find is changes_between_pictures and np.all(measurements.is_image):
+            # A quick fit to an input with a usual mistake would take long and mean nothing.
+            estimation = measurements.select(measurements.estimation)
+            mistake = find_usual_mistake(robot, cell, estimation, measurements)
+            if mistake is not None:
+                return measurements, tuple(found), mistake
         findings = find(robot, cell, measurements)
         for finding in findings:
             if not finding.rows:

@@ -82,6 +82,7 @@ def fit_table(
     solver: str | Solver = "lm",
     robust: bool = True,
     mistake: Reason | None = None,
+    search: bool = True,
 ) -> TableFits:
     """Fit the models of a calibration to the estimation rows of a table.
 
@@ -94,7 +95,8 @@ def fit_table(
         solver: ``"lm"``, ``"scipy"``, ``"paper"`` (the paper's algorithm, without priors and robust weights), or a
             function like those of `calib.numerics.solvers.SOLVERS`.
         robust: Whether outliers lose their weight.
-        mistake: A usual mistake that was found already; None: it is looked for.
+        mistake: A usual mistake that was found already; None: none was.
+        search: Whether one is looked for if none was found.
 
     Returns:
         The fits of the geometry and, if the model has one or the data ask for it, of a non-geometric model; the
@@ -119,7 +121,7 @@ def fit_table(
     began = time.perf_counter()
     model = cell.model if model is None else model
     estimation = measurements.select(measurements.estimation)
-    if mistake is None:
+    if mistake is None and search:
         mistake = find_usual_mistake(robot, cell, estimation, measurements)
     if mistake is None:
         mistake = frame_not_found(robot, seen, rows)

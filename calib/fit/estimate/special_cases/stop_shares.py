@@ -30,6 +30,9 @@ ROTATION = slice(3, 6)
 #: Columns of a body's displacement, by translation and rotation.
 BODY = slice(0, 6)
 
+#: Columns of a body's displacement whose directions have the same variance.
+BODY_PARTS = (TRANSLATION, ROTATION)
+
 #: Columns of the displacement by the errors of the joints.
 JOINTS = slice(6, None)
 
@@ -64,8 +67,8 @@ TINY = 1e-300
 class _InverseCovariance:
     """K^-1 of S stops by matrices of d rows: K^-1 = (I - J H J^T) / kappa, and K^-1 J = J T.
 
-    J is the Jacobian of a stop's scalars by its body's displacement in d directions. With M = J^T J and D, the diagonal
-    matrix of each direction's share, G G^T is J D J^T.
+    J is the Jacobian of a stop's scalars by its body's displacement in d directions. With M = J^T J and D, the
+    covariance of the displacement by all shares (`covariances`), G G^T is J D J^T.
     """
 
     #: The share of a scalar's variance that is independent of the other targets of its stop
@@ -76,13 +79,15 @@ class _InverseCovariance:
     H: Array
 
     @classmethod
-    def of(cls, M: Array, rho: Array) -> _InverseCovariance:
-        """Invert K at the shares rho, (3,); M, (S, d, d), is J^T J of each stop."""
+    def of(cls, M: Array, rho: Array, by_joints: Array) -> _InverseCovariance:
+        """Invert K at the shares rho, (3,).
+
+        Of each stop M is J^T J and ``by_joints`` the covariance of the displacement by joints, (S, d, d) each.
+        """
         kappa = unshared(rho)
-        directions = M.shape[1]
-        shares = root_shares(rho, directions) ** 2
-        T: Array = np.asarray(np.linalg.inv(kappa * np.eye(directions) + shares[:, None] * M))
-        return cls(kappa, T, T * shares)
+        D = covariances(rho, by_joints)
+        T: Array = np.asarray(np.linalg.inv(kappa * np.eye(M.shape[1]) + D @ M))
+        return cls(kappa, T, T @ D)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +95,15 @@ class Moments:
     """The moments of one channel's residual r at S stops, from which its shares are estimated, in any unit.
 
     J is the Jacobian of a stop's scalars by its body's displacement in d directions, translation (3), rotation (3) and
-    the errors of the joints, A that by the parameters of the fit, and C the covariance of these.
+    any others, A that by the parameters of the fit, and C the covariance of these.
     """
 
     #: (S, d, d), J^T J of each stop
     M: Array
     #: (S, d, d), J^T [r r^T + A C A^T] J of each stop
     R: Array
+    #: (S, d, d), covariance of the displacement of each stop by errors of the joints of unit variance
+    by_joints: Array
     #: The trace of r r^T + A C A^T, of all stops
     total: float
     #: The number of scalars of all stops
@@ -112,7 +119,8 @@ class Moments:
             count += part.count
         M = np.concatenate([part.M for part in parts])
         R = np.concatenate([part.R for part in parts])
-        return cls(M, R, total, count)
+        by_joints = np.concatenate([part.by_joints for part in parts])
+        return cls(M, R, by_joints, total, count)
 
     def shares(self, rho: Array) -> Array:
         """Estimate the shares of translations, rotations and joints in a scalar's variance, by iteration.
@@ -127,11 +135,14 @@ class Moments:
         bodies = int(np.sum(np.linalg.matrix_rank(of_bodies, hermitian=True)))
         if min(bodies, self.count - bodies) < _FEWEST_FREEDOM:
             return np.zeros(len(PARTS))
+        last = None
         for _ in range(_STEPS):
-            before = rho
-            rho = _shares_of(self._components(rho))
-            if np.max(np.abs(rho - before)) < _SETTLED * unshared(rho):
-                break
+            found = _shares_of(self._components(rho))
+            if np.max(np.abs(found - rho)) < _SETTLED * unshared(found):
+                return found
+            latest = (rho[None, None], found[None, None])
+            rho = found if last is None else extrapolated(last, latest)[0, 0]
+            last = latest
         return rho
 
     def _components(self, rho: Array) -> Array:
@@ -140,7 +151,7 @@ class Moments:
         A variance that comes out negative is 0, and the others are solved for again; that of a part is 0 too if it
         moves no scalar.
         """
-        inverse = _InverseCovariance.of(self.M, rho)
+        inverse = _InverseCovariance.of(self.M, rho, self.by_joints)
         left = self._left_side(inverse)
         right = self._right_side(inverse)
         free = np.diagonal(left) > 0.0  # no translation moves angles
@@ -162,11 +173,15 @@ class Moments:
         result = np.zeros((1 + len(PARTS), 1 + len(PARTS)))
         of_independent = self.count - 2.0 * _trace(HM) + _trace(HM @ HM)
         result[0, 0] = of_independent / inverse.kappa**2
-        for k, i in enumerate(PARTS, 1):
-            of_part = _trace(TMT[:, i, i])
-            result[0, k] = of_part
-            result[k, 0] = of_part
-            result[k, 1:] = [np.sum(MT[:, i, j] ** 2) for j in PARTS]
+        MTE = MT @ self.by_joints
+        METM = MTE @ MT  # M T is symmetric
+        result[0, 1:] = self._of_parts(TMT)
+        result[1:, 0] = result[0, 1:]
+        for k, i in enumerate(BODY_PARTS, 1):
+            result[k, 1:-1] = [np.sum(MT[:, i, j] ** 2) for j in BODY_PARTS]
+            result[k, -1] = _trace(METM[:, i, i])
+            result[-1, k] = result[k, -1]
+        result[-1, -1] = np.sum(MTE * transposed(MTE))
         return result
 
     def _right_side(self, inverse: _InverseCovariance) -> Array:
@@ -177,9 +192,13 @@ class Moments:
         result = np.zeros(1 + len(PARTS))
         of_independent = self.total - 2.0 * _trace(HR) + _trace(HM @ HR)
         result[0] = of_independent / inverse.kappa**2
-        for k, part in enumerate(PARTS, 1):
-            result[k] = _trace(TRT[:, part, part])
+        result[1:] = self._of_parts(TRT)
         return result
+
+    def _of_parts(self, X: Array) -> Array:
+        """The traces tr(X E_i), (3,), of X (S, d, d) with E of translations, rotations and joints, over the stops."""
+        of_body = [_trace(X[:, part, part]) for part in BODY_PARTS]
+        return np.array([*of_body, np.sum(X * self.by_joints)])
 
 
 def _shares_of(theta: Array) -> Array:
@@ -219,15 +238,17 @@ def unshared(rho: Array) -> float:
     return float(max(1.0 - np.sum(rho), _LEAST_UNSHARED))
 
 
-def root_shares(rho: Array, directions: int) -> Array:
-    """Return the root of the share of each of d directions of a body's displacement, shape (d,).
+def covariances(rho: Array, by_joints: Array) -> Array:
+    """Return the covariances D of the displacements of S bodies by what their targets share, (S, d, d).
 
-    The shares rho, (3,), are those of its three translations, its three rotations, and the joints, d - 6 directions.
+    The shares rho, (3,), are those of translations, rotations and joints; ``by_joints``, (S, d, d), is the covariance
+    by errors of the joints of unit variance.
     """
-    shares = np.zeros(directions)
-    for part, share in zip(PARTS, rho, strict=True):
-        shares[part] = share
-    return np.sqrt(shares)
+    D: Array = rho[2] * by_joints
+    for part, share in zip(BODY_PARTS, rho, strict=False):
+        numbers = np.arange(part.start, part.stop)
+        D[:, numbers, numbers] += share
+    return D
 
 
 def transposed(M: NDArray[np.floating]) -> Array:

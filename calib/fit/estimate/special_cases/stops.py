@@ -8,13 +8,16 @@ have the covariance
 
     V = noise^2 K,        K = kappa I + rho_t J_t J_t^T + rho_r J_r J_r^T + rho_q J_q J_q^T
 
-with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, together d directions,
-each scaled so that the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar,
-rho_t, rho_r and rho_q are the shares of its variance that the targets of a stop have in common, and the share
-kappa = 1 - rho_t - rho_r - rho_q is independent. With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q], as in
-any mixed model (C. R. Henderson, 1953),
+with the Jacobians J_t, J_r and J_q of the predicted scalars by translation, rotation and joints, each scaled so that
+the mean diagonal entry of J J^T over the table is 1: noise is the standard deviation of a scalar, rho_t, rho_r and
+rho_q are the shares of its variance that the targets of a stop have in common, and the share kappa = 1 - rho_t - rho_r
+- rho_q is independent. With G = [sqrt(rho_t) J_t, sqrt(rho_r) J_r, sqrt(rho_q) J_q], as in any mixed model (C. R.
+Henderson, 1953),
 
     K^-1 = [I - G (kappa I + G^T G)^-1 G^T] / kappa
+
+Joints move the targets on one link as the body itself: J_q = [J_t J_r] L, and G = [J_t J_r] D^1/2 of six columns has
+the same G G^T, with the covariance D = diag(rho_t, rho_r) + rho_q L L^T of the body's displacement.
 
 A stop at which the robot was off as a whole, as hardly any other was, is thrown out whole. Its score is the norm of the
 displacement of its body, measured minus predicted by a fit without the stop, in standard deviations of what V and that
@@ -39,10 +42,11 @@ from numpy.typing import NDArray
 from calib.basics.arrays import Array, Integers, Mask
 from calib.fit.estimate.special_cases.stop_shares import (
     BODY,
+    JOINTS,
     PARTS,
     TINY,
     Moments,
-    root_shares,
+    covariances,
     transposed,
     unshared,
 )
@@ -53,6 +57,9 @@ from calib.model.parameter_sets import error_model
 
 #: Rows whose columns are copied at a time.
 _PART = 16_384
+
+#: Relative difference of squares below which errors of the joints move nothing but bodies.
+_OF_BODY = 1e-9
 
 #: Directions of a body whose squared singular value is below this share of the largest are rounding.
 _RANK_TOLERANCE = 1e-9
@@ -68,11 +75,13 @@ class Stops:
     cells: Integers
     #: (n,), rows of one number are of one stop
     stops: Integers
-    #: (n, D, d), Jacobian of each scalar by the body's displacement: translations, rotations, joints. Of each channel
-    #: the sum of squares over each of the three has mean 1
+    #: (n, D, 6 + j), Jacobian of each scalar by the body's displacement: translations, rotations, joints. Of each
+    #: channel the sum of squares over each of the three has mean 1
     J: Array
     #: (n, D), index of the channel of each scalar, from 0; -1 where there is no scalar
     channel: NDArray[np.int8]
+    #: (C, K, d, d), see `displacements_by_joints`, by the number of the stop
+    by_joints: Array
     #: (M,), index of the first row of each cell, among these n rows
     _first_row: Integers = field(init=False, repr=False)
     #: (S,), index of the first cell of each stop, among the M cells
@@ -145,6 +154,7 @@ class Stops:
             stops=stop[order],
             J=J[order],
             channel=channel[order],
+            by_joints=displacements_by_joints(J, stop, channel),
         )
 
     def select(self, mask: Mask) -> Stops | None:
@@ -206,7 +216,7 @@ class Stops:
                     _, J, count = stops._means(columns[:0, :, stops.rows], w, c)
                     N = columns.shape[2]
                     place = N * np.arange(columns.shape[1])[:, None] + stops.rows
-                    log_det += stops._make_independent(result, place.ravel(), J, count, rho[c])
+                    log_det += stops._make_independent(result, place.ravel(), J, count, c, rho[c])
                     continue
                 Y = columns[:, :, stops.rows]
                 means, independent, of_channel = stops._independent_means(Y, w, c, rho[c])
@@ -216,6 +226,11 @@ class Stops:
                 result[:, :, stops.rows] += change
                 log_det += of_channel
         return result, log_det
+
+    @property
+    def _numbers(self) -> Integers:
+        """The number of each stop, (S,)."""
+        return self.stops[self._first_row[self._first_cell]]
 
     @property
     def stop_of_row(self) -> Integers:
@@ -297,12 +312,13 @@ class Stops:
         r = means[-1] - (change @ A).reshape(means.shape[1:])
         sums = self._sums_of_products(J, np.concatenate([J, means[:-1], r[None]]))
         directions = len(J)
+        by_joints = self.by_joints[c, self._numbers]
         J_J = sums[..., :directions]
         J_A = sums[..., directions:-1]
         J_r = sums[..., -1:]
         R = J_r @ transposed(J_r) + J_A @ C @ transposed(J_A)
         total = float(np.sum(r**2) + np.sum((A @ A.T) * C))
-        return Moments(J_J, R, total, float(np.sum(count)))
+        return Moments(J_J, R, by_joints, total, float(np.sum(count)))
 
     def _independent_means(
         self, Y: Array, weights: Array, c: int, rho: Array
@@ -315,24 +331,27 @@ class Stops:
         """
         means, J, count = self._means(Y, weights, c)
         independent = means.copy()
-        log_det = self._make_independent(independent, np.arange(count.size), J, count, rho)
+        log_det = self._make_independent(independent, np.arange(count.size), J, count, c, rho)
         return means, independent, log_det
 
     def _make_independent(
-        self, columns: Array, place: Integers, J: Array, count: Array, rho: Array
+        self, columns: Array, place: Integers, J: Array, count: Array, c: int, rho: Array
     ) -> float:
-        """Multiply columns, (q, D, N), by K^-1/2 in place, and return log det K over all stops.
+        """Multiply columns, (q, D, N), of the channel of index c by K^-1/2 in place, and return log det K of all stops.
 
         Of a scalar in (D, M), flat, ``place`` is the index in (D, N), flat. J, (d, D, M), and the numbers (D, M) are
         those of `_means`.
         """
         kappa = unshared(rho)
         root = np.sqrt(kappa)
-        G = (J * (root_shares(rho, len(J)) / root)[:, None, None]).reshape(len(J), -1)
+        squares, Q = np.linalg.eigh(covariances(rho, self.by_joints[c, self._numbers]))
+        roots = np.sqrt(np.maximum(squares, 0.0) / kappa)[:, None]
+        to_G = (Q * roots) @ transposed(Q)  # symmetric
+        J = J.reshape(len(J), -1)
         flat = columns.reshape(len(columns), -1)
         log_det = float(np.sum(count)) * np.log(kappa)
-        for _, scalars in self._batches:
-            of_stops = G[:, scalars].transpose(1, 0, 2)
+        for stops, scalars in self._batches:
+            of_stops = to_G[stops] @ J[:, scalars].transpose(1, 0, 2)
             squares, Q = np.linalg.eigh(of_stops @ transposed(of_stops))
             s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
             at = place[scalars]
@@ -356,7 +375,8 @@ class Stops:
         of_channel = c == self.channel.T
         total = np.add.reduceat(weights, self._first_row)
         count = of_channel[:, self._first_row] * np.minimum(total, 1.0)
-        J = self.J.transpose(2, 1, 0) * (np.sqrt(weights) * of_channel)
+        directions = self.by_joints.shape[-1]
+        J = self.J[:, :, :directions].transpose(2, 1, 0) * (np.sqrt(weights) * of_channel)
         if not self._has_repeats:
             return Y if np.all(of_channel) else Y * of_channel, J, count
         root = np.sqrt(weights / np.maximum(total, TINY)[self._cell_of_row]) * of_channel
@@ -393,6 +413,7 @@ class Stops:
             stops=self.stops[kept],
             J=self.J[kept],
             channel=self.channel[kept],
+            by_joints=self.by_joints,
         )
 
 
@@ -473,6 +494,41 @@ def twists_of_joints(kinematics: Kinematics, samples: Samples) -> Array:
     of_zeros = replace(kinematics, model=zeros)
     _, twists = of_zeros.twists(np.zeros(len(zeros)), samples)
     return twists[:, :, turning]
+
+
+def displacements_by_joints(J: Array, stops: Integers, channel: NDArray[np.int8]) -> Array:
+    """Find the covariances of the displacements of bodies by errors of the joints of unit variance.
+
+    Errors of the joints move the targets on one link as one body: J_q = J_b L, with the Jacobians J_q by the joints and
+    J_b by the six directions of the body. Then their part of the covariance is J_q J_q^T = J_b (L L^T) J_b^T, and six
+    directions are enough. Targets of one stop on several links, as on two hands, need the joints as further directions.
+
+    Args:
+        J: shape (n, D, 6 + j), Jacobian of the scalars of n rows by displacements: body, then j joints.
+        stops: shape (n,), number of each row's stop, from 0, below K.
+        channel: shape (n, D), index of each scalar's channel, from 0, below C; -1 where there is no scalar.
+
+    Returns:
+        shape (C, K, d, d), L L^T in each channel, d = 6; or, with d = 6 + j, the identity among the joints.
+    """
+    count = int(stops.max()) + 1
+    directions = J.shape[2]
+    result = []
+    for c in range(int(channel.max()) + 1):
+        products = np.zeros((count, directions, directions))
+        for first in range(0, len(J), _PART):
+            part = slice(first, first + _PART)
+            of_channel = J[part] * (channel[part] == c)[:, :, None]
+            np.add.at(products, stops[part], transposed(of_channel) @ of_channel)
+        by_body = products[:, BODY, JOINTS]
+        L = np.linalg.pinv(products[:, BODY, BODY], _RANK_TOLERANCE, hermitian=True) @ by_body
+        explained = np.sum(by_body * L)
+        if np.trace(products[:, JOINTS, JOINTS].sum(axis=0)) > (1.0 + _OF_BODY) * explained:
+            joints = np.diag(np.r_[np.zeros(BODY.stop), np.ones(directions - BODY.stop)])
+            shape = (int(channel.max()) + 1, count, directions, directions)
+            return np.broadcast_to(joints, shape)
+        result.append(L @ transposed(L))
+    return np.array(result)
 
 
 def of_unit_size(J: Array, channel: NDArray[np.int8], counts: Array) -> Array:

@@ -36,6 +36,11 @@ def covariance(parts):
     return sum(share * part for share, part in zip([unshared(RHO), *RHO], parts, strict=True))
 
 
+def by_joints(M):
+    """The covariance of the displacements by joints that are directions of their own, like M."""
+    return np.broadcast_to(np.diag([0.0] * 6 + [1.0] * (M.shape[1] - 6)), M.shape)
+
+
 def moments_of(J, squares):
     """Moments at stops whose residuals have the squares r r^T, a dense matrix of all scalars."""
     scalars = J.shape[1]
@@ -44,14 +49,15 @@ def moments_of(J, squares):
         of_stop = slice(number * scalars, (number + 1) * scalars)
         R.append(J_of_stop.T @ squares[of_stop, of_stop] @ J_of_stop)
     M = J.swapaxes(1, 2) @ J
-    return Moments(M, np.array(R), float(np.trace(squares)), float(len(squares)))
+    return Moments(M, np.array(R), by_joints(M), float(np.trace(squares)), float(len(squares)))
 
 
 def test_the_inverse_covariance_of_stops(bodies):
     parts = covariance_parts(bodies[:1])
     K = covariance(parts)
     J = bodies[0]
-    inverse = _InverseCovariance.of(J.T[None] @ J, RHO)
+    M = J.T[None] @ J
+    inverse = _InverseCovariance.of(M, RHO, by_joints(M))
     expected = np.linalg.inv(K)
     np.testing.assert_allclose(
         (np.eye(12) - J @ inverse.H[0] @ J.T) / inverse.kappa, expected, atol=1e-10
@@ -64,7 +70,7 @@ def test_the_equations_have_the_traces_of_dense_matrices(bodies):
     K = covariance(parts)
     r = np.random.default_rng(2).normal(size=len(K))
     moments = moments_of(bodies, np.outer(r, r))
-    inverse = _InverseCovariance.of(moments.M, RHO)
+    inverse = _InverseCovariance.of(moments.M, RHO, moments.by_joints)
     weighted = [np.linalg.solve(K, part) for part in parts]
     weighted_square = np.linalg.solve(K, np.outer(r, r))
     left = np.einsum("iab,jba->ij", weighted, weighted)

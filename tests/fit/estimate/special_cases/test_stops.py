@@ -32,6 +32,7 @@ sys.path.append(str(ROOT / "scripts"))
 from stops_study import Hand, compare_fits, point_fit_errors
 
 from calib.fit.estimate.special_cases.stops import (
+    displacements_by_joints,
     of_unit_size,
     twists_of_bodies,
     twists_of_joints,
@@ -122,6 +123,24 @@ def test_a_stop_is_where_several_targets_of_one_kind_are_seen_from_one_frame(mak
     assert problem_of(scene, table.select(np.arange(len(table)) != 2)).stops is None
     assert problem.stops.select(np.arange(len(table)) > 2) is None
     assert problem.stops.select(np.arange(len(table)) != 1).rows.tolist() == [0, 1]
+
+
+def test_joints_move_the_targets_on_one_link_as_a_body(mixed):
+    stops = mixed.stops
+    assert stops.by_joints.shape[2:] == (6, 6)
+    for c in range(2):
+        for number in np.unique(stops.stops):
+            own = stops.stops == number
+            J = (stops.J[own] * (stops.channel[own] == c)[:, :, None]).reshape(-1, stops.J.shape[2])
+            by_body = J[:, :6] @ stops.by_joints[c, number] @ J[:, :6].T
+            np.testing.assert_allclose(by_body, J[:, 6:] @ J[:, 6:].T, atol=1e-9)
+    # Another target of a stop that the joints move apart is on another link.
+    apart = stops.J.copy()
+    apart[0, :, 6] *= 1.1
+    by_joints = displacements_by_joints(apart, stops.stops, stops.channel)
+    directions = stops.J.shape[2]
+    assert by_joints.shape[2:] == (directions, directions)
+    np.testing.assert_array_equal(by_joints[0, 0], np.diag([0.0] * 6 + [1.0] * (directions - 6)))
 
 
 def test_the_body_moves_as_one_and_its_effect_has_mean_square_one(mixed):
