@@ -28,6 +28,13 @@ def main() -> None:
         where = f"'{error.filename}'" if error.filename else "the printed text"
         status = ExitStatus.REFUSED
         message = f"{where} cannot be read or written: {error.strerror or error}."
+    except SystemExit as end:
+        if end.code != ExitStatus.INTERRUPTED:
+            raise
+        # Where Ctrl-C met an `exec`, as of a dataclass that is imported, Python would end by the signal in spite of it.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(ExitStatus.INTERRUPTED)
     else:
         return
     sys.stderr.write(f"calib: {message}\n")

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from calib.cli.verb import Verb
+from calib.cli.verb import Verb, interruptible
 
 #: The verbs, in the order of ``calib --help``; ``base-frame`` is that of the folder ``base_frame``. The docstring of a
 #: verb's package is what it does in one line.
@@ -81,6 +81,16 @@ class Program(TyperGroup):
         """Return the names of the verbs."""
         del ctx
         return list(self.commands)
+
+    @interruptible()
+    def make_context(self, *arguments: Any, **named: Any) -> Any:  # noqa: ANN401
+        """Read the options before the verb."""
+        return super().make_context(*arguments, **named)
+
+    @interruptible()
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401
+        """Import and run a verb."""
+        return super().invoke(ctx)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
         """Write the verbs with what they do, without their commands."""

@@ -165,6 +165,18 @@ def test_ctrl_c_leaves_no_file(program, shop: Path, long_work: list[str]):
     assert set(shop.iterdir()) == before
 
 
+def test_ctrl_c_while_a_verb_is_imported_says_the_same(program, tmp_path: Path):
+    # A plugin is loaded after the options before the verb are read, and before those of the verb are.
+    plugin = tmp_path / "interrupted.py"
+    plugin.write_text("exec('raise KeyboardInterrupt')\n")
+    words = ("calibrate", "robot.urdf", "data.csv", "--plugin", str(plugin))
+    done = subprocess.run(
+        [*program, *words], cwd=tmp_path, capture_output=True, encoding="utf-8", check=False
+    )
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "calib: interrupted; no file was left half written.\n"
+
+
 @pytest.mark.slow
 def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
     terminal, theirs = pty.openpty()

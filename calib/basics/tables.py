@@ -9,7 +9,6 @@ from __future__ import annotations
 import codecs
 import csv
 import hashlib
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +25,9 @@ from calib.errors import CalibError, FileError, MeasurementError
 
 #: Separators of cells; if several are equally frequent in the header, the first of them does.
 SEPARATORS = (",", ";", "\t")
+
+#: A line of a text with its end.
+_LINE = re.compile(r"[^\n]*\n|[^\n]+")
 
 #: A line before the header that tells Excel the separator: ``sep=;``.
 _SEPARATOR_LINE = re.compile(r'"?sep=([,;\t])"?[\s,;]*$', re.IGNORECASE)
@@ -107,7 +109,8 @@ class Table:
         """
         source, sha256, text = read_text(path, "The table")
         content = []  # number, from 1, and text of each line that is not skipped
-        for number, line in enumerate(io.StringIO(text), 1):
+        for number, found in enumerate(_LINE.finditer(text), 1):
+            line = found.group()
             if line.strip(_BLANKS) and not line.lstrip().startswith(_COMMENTS):
                 content.append((number, line))
 

@@ -179,10 +179,27 @@ def _members(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401  a dataclas
 
 
 @contextmanager
+def interruptible() -> Iterator[None]:
+    """Report Ctrl-C in a ``with`` block, or a function that this decorates, as one line on stderr, and end the program.
+
+    The text of the `KeyboardInterrupt` says what is kept of the work.
+
+    Raises:
+        typer.Exit: With the exit status of Ctrl-C.
+    """
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        message = f"interrupted; no file was left half written. {error}".rstrip()
+        typer.echo(f"calib: {message}", err=True)
+        raise typer.Exit(ExitStatus.INTERRUPTED) from error
+
+
+@contextmanager
 def reporting(*, debug: bool) -> Iterator[None]:
     """Report an error of the block as one line on stderr, and end the program with its exit status.
 
-    The text of a `KeyboardInterrupt` says what is kept of the work. An `OSError` passes: the program reports it.
+    Ctrl-C is reported by `interruptible`, around all verbs. An `OSError` passes: the program reports it.
 
     Args:
         debug: Whether the traceback is printed before the line.
@@ -198,10 +215,6 @@ def reporting(*, debug: bool) -> Iterator[None]:
         # The reader of our output (head, less) has gone: nothing can be reported to it.
         sys.stderr.close()
         raise typer.Exit(ExitStatus.DONE) from error
-    except KeyboardInterrupt as error:
-        message = f"interrupted; no file was left half written. {error}".rstrip()
-        typer.echo(f"calib: {message}", err=True)
-        raise typer.Exit(ExitStatus.INTERRUPTED) from error
     except OSError:  # reported by `calib.__main__.main`
         raise
     except CalibError as error:

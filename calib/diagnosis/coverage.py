@@ -15,6 +15,7 @@ from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.stages import Stage
 from calib.fit.registration.rows import Rows
 from calib.numerics.likelihood import GaussianPriors
+from calib.robot.kernel import over_blocks, sum_over_blocks
 from calib.robot.ranges import column_ranges, spread_poses
 from calib.robot.robot import Robot
 
@@ -196,19 +197,27 @@ def extrapolation(fitted: Fitted) -> float:
     weights = np.where(np.array(masks), 0.0, problem.weights)
     priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
     x, covariances, _ = linear.fit(weights, problem.stop_shares, noise, priors)
-    residuals = linear.residual(x) / linear.noise_by_scalar(noise)
+    by_channel = np.append(estimate.noise, 1.0)
 
-    A = linear.A / linear.noise_by_scalar(np.array([estimate.noise]))[0][:, :, None]
-    beyond, expected = 0.0, 0.0
-    for mask, residual, C in zip(masks, residuals, covariances, strict=True):
-        counts = linear.used[mask] * problem.weights[mask][:, None]
-        excess = residual[mask] ** 2 - 1.0
-        variances = np.einsum("ndp,pq,ndq->nd", A[mask], C, A[mask], optimize=True)
-        beyond += float(np.sum(counts * excess))
-        expected += float(np.sum(counts * variances))
+    def of_block(block: slice) -> Array:
+        """The sums over some of the rows: of squares beyond the noise, and of variances."""
+        noise_of_rows = by_channel[rows.channels.index[block]]
+        residuals = linear.residual_of(x, block) / noise_of_rows
+        A = linear.columns_of(block)[:-1].transpose(2, 1, 0) / noise_of_rows[:, :, None]
+        weights = rows.used[block] * problem.weights[block, None]
+        sums = np.zeros(2)
+        for mask, residual, C in zip(masks, residuals, covariances, strict=True):
+            outer = np.flatnonzero(mask[block])
+            A_C = A[outer] @ C
+            variances = np.sum(A_C * A[outer], axis=2)
+            squares = residual[outer] ** 2 - 1.0
+            sums += np.sum(weights[outer] * squares), np.sum(weights[outer] * variances)
+        return sums
+
+    beyond, expected = sum_over_blocks(of_block, len(rows)).tolist()
     if not expected > 0.0:
         return 1.0
-    return max(beyond / expected, 1.0)
+    return float(max(beyond / expected, 1.0))
 
 
 # The measured part of ranges and workspace
@@ -269,14 +278,22 @@ def sole_postures(
     every_row = np.ones((1, len(rows)), dtype=bool)
     first = Stage.initial(prior, every_row, len(problem.noise))
     _, covariances, _ = replace(first, noise=problem.noise[None]).fit(linear)
-    A = linear.A / linear.noise_by_scalar(problem.noise[None])[0][:, :, None]
+    by_channel = np.append(problem.noise, 1.0)
+
+    def traces_of(rows_of_block: slice) -> Array:
+        """Traces of the leverages of some of the rows, (n,)."""
+        A = linear.columns_of(rows_of_block)[:-1]
+        carried = (covariances[0] @ A.reshape(len(A), -1)).reshape(A.shape)
+        noise = by_channel[rows.channels.index[rows_of_block]].T
+        return np.asarray(np.sum(np.einsum("pdn,pdn->dn", carried, A) / noise**2, axis=0))
 
     # The trace bounds the largest eigenvalue: only poses whose bound is high are looked at.
     block = np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
-    traces = np.einsum("ndp,ndp->n", A @ covariances[0], A)
-    leverage = np.bincount(block, traces)
+    leverage = np.bincount(block, np.concatenate(over_blocks(traces_of, len(rows))))
     for b in np.flatnonzero(leverage > 0.5).tolist():
-        of_pose = A[block == b][rows.used[block == b]]
+        is_pose = block == b
+        A_pose = linear.select(is_pose).A / by_channel[rows.channels.index[is_pose]][:, :, None]
+        of_pose = A_pose[rows.used[is_pose]]
         leverage[b] = np.linalg.eigvalsh(of_pose @ covariances[0] @ of_pose.T)[-1]
     leverage = np.clip(leverage, 0.0, _HIGHEST_LEVERAGE)
     unpredicted = np.sqrt(leverage / (1.0 - leverage))

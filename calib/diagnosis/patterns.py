@@ -47,6 +47,9 @@ _SIDE = 3
 #: About how many rows are tried for a step, before all around the best.
 _TRIED = 60
 
+#: Then it is looked for so many times closer about the best of these, until it is found to the row.
+_CLOSER = 20
+
 #: Degrees of freedom below this are rounding.
 _SOME_FREEDOM = 1e-6
 
@@ -269,8 +272,11 @@ def step(stack: Stack, rows: Integers, along: Array) -> Step | None:
 
     stride = max((most - _SIDE) // _TRIED, 1)
     best = best_of(range(_SIDE, most + 1, stride))
-    first, last = max(best - stride + 1, _SIDE), min(best + stride - 1, most)
-    best = best_of(range(first, last + 1))
+    # Closer and closer about the best: the residuals fall off to both sides of a step.
+    while stride > 1:
+        first, last = max(best - stride + 1, _SIDE), min(best + stride - 1, most)
+        stride = max(stride // _CLOSER, 1)
+        best = best_of(range(first, last + 1, stride))
     corrected = min(tried[best].p * (most - _SIDE + 1), 1.0)
     if corrected >= FALSE_ALARM:
         return None

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.diagnosis.augmented_fit import augment, nominal_under
+from calib.diagnosis.augmented_fit import augment, nominal_under, thin
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.special_cases.hands_alone import hands_alone
@@ -52,7 +52,9 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
     estimate, task, kinematics = fitted.estimate, fitted.task, fitted.kinematics
     if not estimate.prior_std or task.cell.priors.source == "off":
         return 0.0
-    rows = estimate.problem.rows
+    # More rows of the same poses do not show other families: they only count for more.
+    few, _ = thin(fitted)
+    rows = few.estimate.problem.rows
     prior = PriorTerms.of(task, kinematics.model, fitted.setup)
     prior = prior.at_bounds({k: float(estimate.x[k]) for k in estimate.at_bound})
 
@@ -72,7 +74,7 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
 
     # The problem at the solution, with their parameters at the end.
     columns = rows.derivative(further.linearised(zero, rows.samples))
-    linear = augment(fitted, columns[:, :, kept])
+    linear = augment(few, columns[:, :, kept])
     count = int(np.sum(kept))
     # Which parameters are of which family, (f, p).
     inside = np.pad(prior.families, ((0, 0), (0, count)))
@@ -93,9 +95,9 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
 
     # Parameters, covariance and likelihood at each of the k sizes: one problem, k priors.
     noise = np.tile(estimate.noise, (len(sizes), 1))
-    equations = linear.normal_equations(
-        estimate.problem.weights[None], estimate.problem.stop_shares
-    )
+    weights = few.estimate.problem.weights
+    equations = linear.normal_equations(weights[None], estimate.problem.stop_shares)
+    equations = equations.times(float(np.sum(estimate.problem.weights) / np.sum(weights)))
     equations = equations.of_fits(np.zeros(len(sizes), dtype=int))
     x, covariance = equations.posterior(noise, priors)
     is_flat = np.pad(

@@ -223,6 +223,11 @@ class ErrorModel(Value):
         """Whether an error depends on the last moves of the joints, as lost motion does."""
         return any(term.factor is not None and term.factor.moved for term in self.terms)
 
+    @property
+    def depends_on_loads(self) -> bool:
+        """Whether an error depends on the loads on the joints, as compliance does."""
+        return any(term.factor is not None and term.factor.loaded for term in self.terms)
+
     def values(self, x: Array) -> Array:
         """Return the value of every term in its unit, shape (terms,), at the parameters x, shape (p,)."""
         return np.asarray(self.mixing @ x)

@@ -76,7 +76,9 @@ def steps(units: Sequence[str]) -> Array:
     return np.array([unit_of(unit).step for unit in units])
 
 
-def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Observability:
+def analyse(
+    jacobian: Array, names: Sequence[str], units: Sequence[str], count: int | None = None
+) -> Observability:
     """Return rank, unobservable combinations and observability indices of a Jacobian.
 
     With singular values s_1 >= ... >= s_r of the scaled Jacobian of N rows (J. Hollerbach, A. Nahvi, 1996;
@@ -87,6 +89,7 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         jacobian: Shape (rows, p), [m per unit of the parameter], derivative of the predicted coordinates.
         names: Names of the p parameters.
         units: Symbols of their units, "m" or "rad" for most, see `calib.model.families.unit_of`.
+        count: Number N of rows, if the Jacobian is a triangle of the same products; None: its own.
 
     Returns:
         Rank, unobservable combinations and indices; of rank 0 without parameters. Of rank 0 there are no indices, and
@@ -129,7 +132,9 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         smallest = float(determined[-1])
         condition = float(determined[0] / determined[-1])
         indices = {
-            "O1": float(np.exp(np.mean(np.log(determined))) / np.sqrt(rows)),
+            "O1": float(
+                np.exp(np.mean(np.log(determined))) / np.sqrt(rows if count is None else count)
+            ),
             "O2": smallest / largest,
             "O3": smallest,
             "O4": smallest**2 / largest,

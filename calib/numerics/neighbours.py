@@ -23,7 +23,7 @@ from calib.basics.arrays import Array
 #: single poses have no more.
 MANY_ROWS = 10_000
 
-#: An arm moves along a path if it moves less than this share of the usual way between two poses from row to row.
+#: A step is far shorter than a way if it is less than this share of it.
 _NEAR = 0.1
 
 #: A correlation of neighbours of less than so many standard deviations is chance.
@@ -33,6 +33,9 @@ _CERTAIN = 4.0
 def along_path(q: Array) -> bool:
     """Return whether poses follow each other along a path, as those of a moving arm do.
 
+    A usual step is far shorter than the way between two poses. Nor is it far shorter than the mean step, as where an
+    arm stands and is measured many times before it drives on: such rows are repeats.
+
     Args:
         q: shape (N, m), joint values in the order of the rows [rad] or [m]; False for `MANY_ROWS` or less.
     """
@@ -40,7 +43,8 @@ def along_path(q: Array) -> bool:
         return False
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
     ways = np.abs(q[len(q) // 2 :] - q[: len(q) - len(q) // 2]).max(axis=1)
-    return bool(np.median(steps) < _NEAR * np.median(ways))
+    usual = np.median(steps)
+    return bool(_NEAR * np.mean(steps) < usual < _NEAR * np.median(ways))
 
 
 def independent_share(runs: Sequence[tuple[Array, Array]]) -> float:

@@ -135,7 +135,9 @@ def _norms_by_leverage(r: Array, K: Array, w: Array) -> Array:
         safe = K.copy()
         safe[:, :, risky] = 0.0
     spread = (1.0 - 2.0 * w) * safe
-    spread -= (w * (1.0 - w)) * np.einsum("ikn,kjn->ijn", safe, safe)
+    mixed = w * (1.0 - w)
+    if mixed.any():
+        spread -= mixed * np.einsum("ikn,kjn->ijn", safe, safe)
     np.einsum("iin->in", spread)[...] += 1.0
     square = _quadratic_forms(spread, r.copy())
     if len(risky):

@@ -38,6 +38,7 @@ from calib.fit.selection.row_weights import compare_weights
 from calib.instruments.internals import with_starts
 from calib.model.error_model import Parameter
 from calib.numerics.errors import CrossValidation, rms
+from calib.numerics.neighbours import along_path
 from calib.numerics.repeats import scatter_of_repeats
 from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
@@ -127,7 +128,6 @@ def calibrate(
         robust=robust,
         mistake=wrong,
     )
-    begin(Stage.VERDICT)
     drift = patterns = None
     if validate and not fits.mistake:
         patterns = tuple(patterns_in_table(fits.best, measured))
@@ -281,7 +281,6 @@ def _assemble_validated(
         if confirmed is not chosen:  # the patterns are of another fit
             patterns = None
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
-    begin(Stage.VERDICT)
     if patterns is None:
         patterns = tuple(patterns_in_table(fits.best, measurements))
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
@@ -298,6 +297,7 @@ def _assemble(
     of_nominal: CrossValidation | None = None,
 ) -> Calibration:
     """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts."""
+    begin(Stage.VERDICT)
     m, fitted, all_rows = measurements, fits.geometry, fits.all_rows
     task, estimate = fitted.task, fitted.estimate
     robot, cell = task.robot, task.cell
@@ -470,7 +470,8 @@ def _noise(measurements: Measurements, fitted: Fitted) -> Noise:
             stated.pop(unit, None)
 
     repeats = None
-    if len(np.unique(rows.poses)) < len(rows):
+    # Along a path rows where the arm was slow look like repeats, and are neighbours with much the same error.
+    if not along_path(rows.joints) and len(np.unique(rows.poses)) < len(rows):
         # The scalars' worth of information that the parameters have taken.
         paid = float(np.sum(estimate.problem.weights @ rows.used)) - estimate.freedom
         residual = fitted.residual(rows)

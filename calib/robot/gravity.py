@@ -115,8 +115,12 @@ def gravity_loads(
     data = model.createData()
     columns = [model.idx_vs[model.getJointId(joint.name)] for joint in robot.all_joints]
 
-    def work(block: slice) -> Array:
-        """Return what `gravity_loads` returns, for a block of B samples: (B, n, n + 3)."""
+    count = len(next(iter(values.values())))
+    of_one = _lever_arms(robot, model, {name: value[:1] for name, value in values.items()}, down)
+    result = np.empty((count, len(columns), 1 + of_one.shape[2]))
+
+    def work(block: slice) -> None:
+        """Fill in what `gravity_loads` returns, for a block of B samples: (B, n, n + 3)."""
         block_values = {name: value[block] for name, value in values.items()}
         holding = [
             pin.computeGeneralizedGravity(model, data, configuration)
@@ -125,10 +129,11 @@ def gravity_loads(
         # Pinocchio's torques and forces hold the robot against gravity: the loads are opposite.
         loads = -np.array(holding).reshape(-1, model.nv)[:, columns, None]
         arms = _lever_arms(robot, model, block_values, down)
-        return np.concatenate([loads, arms], axis=2)
+        result[block, :, :1] = loads
+        result[block, :, 1:] = arms
 
-    first_joint = next(iter(values.values()))
-    return np.concatenate(kernel.over_blocks(work, len(first_joint)))
+    kernel.over_blocks(work, len(result))
+    return result
 
 
 def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], down: Array) -> Array:

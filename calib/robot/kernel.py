@@ -11,8 +11,11 @@ parameters is prepared once, in `Motion`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from multiprocessing import parent_process
 from typing import TypeVar
 
 import numpy as np
@@ -137,12 +140,12 @@ class Motion:
         has_share = np.zeros(directions.placements.shape[2], dtype=bool)
         for body, twists_of_body in zip(numbers, bodies, strict=True):
             moving = twists_of_body.any(axis=0)
-            # Those of one kind, which are nearly always neighbours, can be written to in one piece.
-            for is_again in (False, True):
-                chosen = np.flatnonzero(moving & (has_share == is_again))
-                if len(chosen):
-                    twists_of_chosen = np.ascontiguousarray(twists_of_body[:, chosen].T)
-                    shares.append(_Share(body, _run(chosen), twists_of_chosen, is_again))
+            again = moving & has_share
+            for chosen, adds in ((moving & ~again, False), (again, True)):
+                if chosen.any():
+                    which = np.flatnonzero(chosen)
+                    of_these = np.ascontiguousarray(twists_of_body[:, which].T)
+                    shares.append(_Share(body, _run(which), of_these, adds))
             has_share |= moving
         object.__setattr__(self, "_steps", _steps(geometry))
         object.__setattr__(self, "_shares", tuple(shares))
@@ -384,21 +387,38 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
 
 T = TypeVar("T")
 
+# The C library gives large blocks back to the system at once, and clearing their pages anew takes longer than a fit,
+# until it has seen a block of up to 32 MB freed: then it keeps as much for the next. This one is never written to.
+np.empty(2**25 - 2**16, dtype=np.uint8)
+
 #: Samples of one block: with fewer, NumPy's calls take longer than the arithmetic; what more need leaves the cache.
 BLOCK = 4096
 
 
-def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
+#: Up to so many blocks are worked off by one thread: to start others takes as long as one of them.
+_FEW_BLOCKS = 8
+
+#: Threads of many blocks: memory does not feed more of them.
+_THREADS = 2
+
+
+def over_blocks(work: Callable[[slice], T], count: int, *, in_threads: bool = False) -> list[T]:
     """Call a function for each block of samples, so that what it computes stays in the processor's cache.
 
     Args:
         work: Function of the slice of one block's samples.
         count: Number of all samples.
+        in_threads: Whether it may be called for several blocks at a time. Only the main process does so: its workers
+            have the other cores.
 
     Returns:
-        Its results, block by block.
+        Its results, block by block, whatever the number of threads.
     """
-    return [work(slice(k, min(k + BLOCK, count))) for k in range(0, count, BLOCK)]
+    blocks = [slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
+    if not in_threads or len(blocks) <= _FEW_BLOCKS or parent_process() is not None:
+        return [work(block) for block in blocks]
+    with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as threads:
+        return list(threads.map(work, blocks))
 
 
 def sum_over_blocks(work: Callable[[slice], Array], count: int) -> Array:
@@ -406,4 +426,4 @@ def sum_over_blocks(work: Callable[[slice], Array], count: int) -> Array:
 
     Blocks are added in their order.
     """
-    return np.asarray(np.sum(over_blocks(work, count), axis=0))
+    return np.asarray(np.sum(over_blocks(work, count, in_threads=True), axis=0))

@@ -49,3 +49,5 @@ def test_a_moving_arm_follows_a_path_and_drawn_poses_do_not():
     assert along_path(moving)
     assert not along_path(rng.permutation(moving))
     assert not along_path(moving[:MANY_ROWS])
+    standing = np.repeat(rng.uniform(-2.0, 2.0, (500, 6)), 21, axis=0)
+    assert not along_path(standing + rng.normal(0.0, 1e-6, standing.shape))

@@ -24,7 +24,7 @@ from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.solving import estimate_within_bounds
 from calib.fit.estimate.special_cases.pose_covariances import settle_pose_noise, with_joint_errors
 from calib.fit.estimate.task import Task
-from calib.fit.registration.registration import register, register_held_out
+from calib.fit.registration.registration import ENOUGH, register, register_held_out
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.model.kinematics import Kinematics, Samples
@@ -223,7 +223,9 @@ def fit(
 
     if registered is None:
         setup = task.setup if task.has_weights_and_priors else paper_start(task.setup)
-        registered = register(task.robot.poses(rows.joints, rows.samples.chain), setup, rows)
+        # Of many rows some are enough for a start.
+        some = rows.select(rows.evenly(ENOUGH))
+        registered = register(task.robot.poses(some.joints, some.samples.chain), setup, some)
         registered = replace(registered, target_unknown=task.setup.target_unknown)
     model = registered.turn_directions(model)
     kinematics = Kinematics(task.robot, model, registered.T_frame_base, registered.T_tip_target)

@@ -38,8 +38,8 @@ class ComputedColumns(Value):
 
     #: (p + 1, D, N)
     shape: tuple[int, int, int]
-    #: Maps a slice of n rows to their columns, shape (p + 1, D, n)
-    of_rows: Callable[[slice], Array]
+    #: Maps n rows, a slice or their indices, to their columns, shape (p + 1, D, n)
+    of_rows: Callable[[slice | Integers], Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +125,7 @@ class LinearProblem(Value):
         """
         if not isinstance(self.columns, ComputedColumns):
             return self.residual_of(x, slice(None))
-        of_blocks = over_blocks(partial(self.residual_of, x), len(self))
+        of_blocks = over_blocks(partial(self.residual_of, x), len(self), in_threads=True)
         return np.concatenate(of_blocks, axis=-2)
 
     def residual_of(self, x: Array, rows: slice) -> Array:
@@ -149,11 +149,14 @@ class LinearProblem(Value):
         if not isinstance(self.columns, ComputedColumns):
             return self.columns[:, :, mask]
 
-        def of_block(rows: slice) -> Array:
-            """Those of one block."""
-            return self.columns_of(rows)[:, :, mask[rows]]
+        chosen = np.flatnonzero(mask)
+        of_rows = self.columns.of_rows
 
-        return np.concatenate(over_blocks(of_block, len(self)), axis=2)
+        def of_block(rows: slice) -> Array:
+            """Those of a block of the chosen rows."""
+            return of_rows(chosen[rows])
+
+        return np.concatenate(over_blocks(of_block, len(chosen)), axis=2)
 
     def normal_equations(self, weights: Array, stop_shares: Array) -> NormalEquations:
         """Return the normal equations of B fits, of A x = y with y = r + A x0.
@@ -191,7 +194,7 @@ class LinearProblem(Value):
                 continue
             if np.array_equal(of_weights, weights):
                 return sums
-            if not shares_count and len(of_weights) == len(weights) == 1:
+            if same_shares and not shares_count and len(of_weights) == len(weights) == 1:
                 # Of weights that are all multiplied by one factor, sums are too.
                 factor = np.sum(weights) / max(float(np.sum(of_weights)), _TINY)
                 if np.allclose(factor * of_weights, weights, rtol=1e-12, atol=0.0):
@@ -280,8 +283,9 @@ class LinearProblem(Value):
             shape (B, N), >= 0, in standard deviations. Rows of more or fewer scalars are scored by what three scalars
             of the same probability would have.
         """
-        scored = over_blocks(self._scorer(x, covariance, weights, noise), len(self))
-        return np.concatenate([scores for scores, _ in scored], axis=1)
+        score = self._scorer(x, covariance, weights, noise)
+        scored = over_blocks(lambda rows: score(rows)[0], len(self), in_threads=True)
+        return np.concatenate(scored, axis=1)
 
     def weigh_by_scores(
         self,

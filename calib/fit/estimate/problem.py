@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Mask
+from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
 from calib.fit.estimate.linear import ComputedColumns, LinearProblem
 from calib.fit.estimate.special_cases.arm_size import SizeGauge, find_size_gauge, measures_length
@@ -48,7 +48,7 @@ _SMALLEST_SIGMA = 1e-8
 _MOST_KEPT = 2**23
 
 #: Up to so many rows a solver gets every scalar; of more it gets a triangle of the same squares.
-_TALL = 1024
+_TALL = 256
 
 #: Divisor in place of a distance of zero [m].
 _SHORTEST = 1e-12
@@ -220,10 +220,12 @@ class Problem(Value):
             return self._last[0]
         self._last.clear()  # before the next one is made, for memory
         rows = self.rows
+        if rows.samples.load is not None and not self.kinematics.model.depends_on_loads:
+            rows = replace(rows, samples=replace(rows.samples, load=None))  # not to be copied
         rotation = rows.depends_on_orientation
         shape = (self.size + 1, rows.width, len(rows))
 
-        def of_rows(part: slice) -> Array:
+        def of_rows(part: slice | Integers) -> Array:
             """The columns of some of the rows, (p + 1, D, n)."""
             part_rows = rows.select(part)
             seen = self.kinematics.linearised(x, part_rows.samples, rotation=rotation)
@@ -272,9 +274,22 @@ class Problem(Value):
         """
         model, rows = self.kinematics.model, self.rows
         counts = rows.used & (self.weights > 0.0)[:, None]
-        sigma_of_lengths = rows.sigma["m"][:, None, None]
-        in_sigma = self.prediction_jacobian(x) / rows.scales[:, :, None]
-        jacobian = (in_sigma * sigma_of_lengths)[counts]
+        linear = self.linear(x)
+
+        def of_some(part: slice) -> Array:
+            """The Jacobian of the scalars that count of some of the rows, (m, p) [m per unit of the parameter]."""
+            some = rows.select(part)
+            A = linear.columns_of(part)[:-1, : some.width].transpose(2, 1, 0)
+            in_sigma = some.in_units(A) / some.scales[:, :, None]
+            sigma_of_lengths = some.sigma["m"][:, None, None]
+            return np.asarray((in_sigma * sigma_of_lengths)[counts[part, : some.width]])
+
+        if isinstance(linear.columns, ComputedColumns):
+            # Of many rows the triangle, which has the same singular values.
+            triangles = over_blocks(lambda part: triangle(of_some(part)), len(rows))
+            jacobian = triangle(np.concatenate(triangles))
+        else:
+            jacobian = of_some(slice(None))
         if self.gauge is not None:
             jacobian = self.gauge.without_growth(jacobian)
         sigma = np.array([distance.sigma for distance in self.distances])
@@ -283,7 +298,8 @@ class Problem(Value):
         internal = [k for k, _ in model.internals]
         of_internals = np.diag(np.sqrt(self.prior_precision))[internal] * np.median(rows.sigma["m"])
         known = np.concatenate([jacobian, of_distances, of_internals])
-        return analyse(known, model.names, model.units)
+        count = int(np.sum(counts)) + len(known) - len(jacobian)
+        return analyse(known, model.names, model.units, count)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
         """Residuals of what is known besides the measured rows: distances between frames, and last an arm's held size.

@@ -193,7 +193,7 @@ def estimate_with_priors(
     weighting = Weighting.of(task.cell.repeats, task.robust, rows)
     begin = prior.mean if start is None else start
     some = rows.evenly(_MANY)
-    if np.all(some) or not weighting.robust or problem.stops is not None:
+    if np.all(some) or rows.weights is not None or problem.stops is not None:
         solver = StageSolver(problem, task, begin, near_solution=near is not None)
         every_row = np.ones((1, len(rows)), dtype=bool)
         first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
@@ -211,7 +211,7 @@ def estimate_with_priors(
         linear = solver_of_part.linear_at(stage)
         x, covariance, _ = stage.fit(linear)
         solver = StageSolver(problem, task, x[0])
-        first = stage.of_all_rows(solver.linear_at_start(), covariance)
+        first = stage.of_all_rows(solver.linear_at_start(), covariance, robust=weighting.robust)
         stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting, near=True)
     if near is None:
         return estimate_at_stage(problem, stage, solver.solve(stage, _FINE))

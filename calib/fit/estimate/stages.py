@@ -94,7 +94,10 @@ class Weighting:
             rows: N rows of measurements.
         """
         if rows.weights is None:
-            return cls(repeats, robust, 1.0, along_path(rows.joints))
+            if along_path(rows.joints):
+                # What looks like repeats are neighbours where the arm was slow.
+                return cls("independent", robust, 1.0, along_path=True)
+            return cls(repeats, robust, 1.0)
         return cls("independent", False, rows.weights)
 
 
@@ -345,10 +348,12 @@ class Stage:
         Returns:
             The stage with a new `repeat_factor`; itself if no pose has repeats, or they are independent.
         """
+        if mode == "independent":
+            return self
         number = int(poses.max()) + 1
         alive = self.weights > 0.0
         counts = np.array([np.bincount(poses[rows], minlength=number)[poses] for rows in alive])
-        if mode == "independent" or np.max(counts) < 2:
+        if np.max(counts) < 2:
             return self
         rho = np.ones(len(alive))
         if mode == "weighted":
@@ -404,14 +409,15 @@ class Stage:
         rounding = self.noise <= _ROUNDING * np.array(linear.smallest_noise)
         return replace(self, stop_shares=np.where(rounding[:, :, None], 0.0, shares))
 
-    def of_all_rows(self, linear: LinearProblem, covariance: Array) -> Stage:
+    def of_all_rows(self, linear: LinearProblem, covariance: Array, *, robust: bool) -> Stage:
         """Return the first stage of a fit to all rows, from that of a fit to some of them as it settled (B = 1).
 
-        Noise and prior standard deviations stay; each row has the weight that follows from its score.
+        Noise and prior standard deviations stay.
 
         Args:
             linear: The problem of all rows, linearised at the solution of this stage.
             covariance: shape (1, p, p), of this solution.
+            robust: Whether each row has the weight that follows from its score, or 1.
         """
         N = len(linear)
         every_row = np.ones((1, N), dtype=bool)
@@ -421,6 +427,8 @@ class Stage:
             weights=np.ones((1, N)),
             repeat_factor=np.ones((1, N)),
         )
+        if not robust:
+            return of_all
         # By all rows the covariance is smaller, as their number is larger.
         share = np.sum(self.kept, axis=1)[:, None, None] / N
         fit = linear.x[None], share * covariance, np.array([float(np.sum(linear.used))])

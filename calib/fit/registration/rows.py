@@ -184,7 +184,7 @@ class Rows:
             Of the same shape as the values, without unit.
         """
         by_row = values.reshape(len(self), self.width, -1)
-        result = np.divide(by_row, self.scales[:, :, None], out=out)
+        result = np.multiply(by_row, (1.0 / self.scales)[:, :, None], out=out)
         if self._correlated is not None:
             chosen, W = self._correlated.rows, self._correlated.W
             result[chosen, :POSE] = W @ by_row[chosen, :POSE]
@@ -266,9 +266,9 @@ class Rows:
             count = len(range(*which.indices(len(self))))
             is_whole = count == len(self) and which.step in (None, 1)
         else:
-            every = np.arange(len(self))
-            chosen = every[which]
-            is_whole = np.array_equal(chosen, every)
+            places = np.asarray(which)
+            chosen = np.flatnonzero(places) if places.dtype == bool else places.astype(np.int_)
+            is_whole = len(chosen) == len(self) and np.array_equal(chosen, np.arange(len(self)))
         if is_whole:
             return self
         partner = self.partner[chosen]
@@ -455,20 +455,17 @@ class Rows:
         if len(self) <= most:
             return np.ones(len(self), dtype=bool)
         measuring = np.flatnonzero(self.kind != NONE)
-        labels = np.stack([self.samples.frame, self.samples.target, self.kind], axis=1)
-        _, group, count = np.unique(
-            labels[measuring], axis=0, return_inverse=True, return_counts=True
-        )
-        group = group.reshape(-1)
+        # One number for each frame, target and kind, in their order.
+        frame, target, kind = self.samples.frame, self.samples.target, self.kind
+        label = (frame * (target.max() + 1) + target) * len(self.kinds) + kind
+        _, group, count = np.unique(label[measuring], return_inverse=True, return_counts=True)
         fewest = min(_FEWEST_OF_EACH, max(most // len(count), 1))
         quota = np.minimum(count, np.maximum(most * count // max(len(self), 1), fewest))
         random = np.random.default_rng(0).random(len(group))
-        # Sorted by group, and at random within it, the first entries of each group are drawn.
-        order = np.lexsort((random, group))
-        ordered_group = group[order]
-        first_of_group = np.concatenate([[0], np.cumsum(count)[:-1]])
-        rank = np.arange(len(group)) - first_of_group[ordered_group]
-        drawn = order[rank < quota[ordered_group]]
         result = np.zeros(len(self), dtype=bool)
-        result[measuring[drawn]] = True
+        # Sorted by group; within it those of the smallest random numbers are drawn.
+        order = np.argsort(group, kind="stable")
+        for of_group, size in zip(np.split(order, np.cumsum(count)[:-1]), quota, strict=True):
+            drawn = of_group[np.argpartition(random[of_group], size - 1)[:size]]
+            result[measuring[drawn]] = True
         return self.with_partners(result)

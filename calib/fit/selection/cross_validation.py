@@ -267,20 +267,20 @@ def held_out_residuals_linear(
         k = numbers[i]
         mask, x = masks[k], estimates[i]
         steps = _STEPS_OF_MANY if _hardly_changes(fitted, held_out) else 0
-        residual = estimate.problem.residual(x)
-        is_linear = _is_linear(fitted, linear.residual(x), residual, mask)
+        is_linear = _is_linear(fitted, linear, x, mask)
         while not is_linear and steps:
             # At the weights of the fit to all rows a fold takes few more steps, each on the problem linearised anew.
             linear_there = estimate.problem.linear(x)
             x = fold_posterior_means(fitted, linear_there, mask[None])[0]
-            residual = estimate.problem.residual(x)
-            is_linear = _is_linear(fitted, linear_there.residual(x), residual, mask)
+            is_linear = _is_linear(fitted, linear_there, x, mask)
             steps -= 1
         within = np.all((x >= low) & (x <= high))
         if not within or not is_linear:
             continue
 
-        residuals[k] = residual[mask]
+        held_out_rows = rows.select(mask)
+        seen = fitted.kinematics.sightings(x, held_out_rows.samples)
+        residuals[k] = held_out_rows.residual(seen)
         if np.any(seen_only_by(fitted, mask)):
             # Frames and targets that only the fold sees are registered to its rows.
             without_fold = replace(fitted, estimate=replace(estimate, x=x))
@@ -288,16 +288,22 @@ def held_out_residuals_linear(
     return residuals
 
 
-def _is_linear(fitted: Fitted, by_linear: Array, residual: Array, mask: Mask) -> bool:
-    """Return whether a linear problem predicts what the robot itself does with other parameters, at the kept rows.
+def _is_linear(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> bool:
+    """Return whether a linear problem predicts what the robot itself does with parameters x, (p,), at the kept rows.
 
-    Both residuals, (N, D), are by these parameters; that of the linear problem is in units of sigma. Kept are the rows
-    with a weight outside of the fold, a mask (N,).
+    Kept are the rows with a weight outside of the fold, a mask (N,).
     """
-    problem, rows = fitted.estimate.problem, fitted.estimate.problem.rows
-    difference = (rows.in_units(by_linear) - residual) / problem.scales
-    kept = rows.used & (~mask & (fitted.estimate.weights > 0.0))[:, None]
-    return bool(np.sqrt(np.mean(difference[kept] ** 2)) < _LINEAR)
+    problem = fitted.estimate.problem
+    counts = ~mask & (fitted.estimate.weights > 0.0)
+    some = problem.rows.evenly(ENOUGH)  # for one mean
+    rows = problem.rows.select(some)
+    if not np.all(some):
+        linear = linear.select(some)
+    by_robot = rows.residual(fitted.kinematics.sightings(x, rows.samples))
+    by_linear = rows.in_units(linear.residual(x)[:, : rows.width])
+    kept = rows.used & counts[some, None]
+    difference = ((by_linear - by_robot) / rows.scales_at(problem.noise))[kept]
+    return bool(np.sqrt(np.mean(difference**2)) < _LINEAR)
 
 
 def _hardly_changes(fitted: Fitted, masks: Mask) -> bool:

@@ -20,6 +20,7 @@ from calib.fit.registration.labels import joined_stations
 from calib.fit.registration.registration import register_all_rows
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
+from calib.model.kinematics import Samples
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.neighbours import along_path
 
@@ -257,7 +258,8 @@ def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:
     """
     samples = fitted.estimate.problem.rows.samples
     parameters = fitted.kinematics.model.parameters
-    frames_seen, targets_seen = fitted.setup.seen_by(samples.select(~chosen))
+    places_alone = Samples(samples.q[:, :0], samples.frame, samples.target)
+    frames_seen, targets_seen = fitted.setup.seen_by(places_alone.select(~chosen))
     if np.all(frames_seen) and np.all(targets_seen):
         return np.zeros(len(parameters), dtype=bool)
     frames, targets = fitted.setup.places

@@ -31,6 +31,18 @@ def test_each_row_is_held_out_once(rows):
     np.testing.assert_array_equal(np.sum(folds.masks, axis=0), np.ones(rows))
 
 
+def test_along_a_path_pieces_are_held_out():
+    """A tenth of 20,000 rows is ten pieces of 200, evenly over the path."""
+    folds = Folds.of(np.arange(20_000), in_time=True)
+    assert folds.method == "10-fold-in-time"
+    np.testing.assert_array_equal(np.sum(folds.masks, axis=0), np.ones(20_000))
+    for k, mask in enumerate(folds.masks):
+        first = 200 * k + 2000 * np.arange(10)
+        np.testing.assert_array_equal(
+            np.flatnonzero(mask), np.add.outer(first, np.arange(200)).ravel()
+        )
+
+
 def test_repeats_are_held_out_together():
     blocks = np.array([4, 4, 7, 9, 7])
     folds = Folds.of(blocks)
