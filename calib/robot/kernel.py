@@ -174,12 +174,12 @@ class Motion:
             """Fill in linear or angular velocities (p, 3, B) by those per unit twist of each body (n + 3, d, 3, B)."""
             part[self._others] = 0.0
             for share in self._shares:
-                of_body = moves[share.body].reshape(-1, 3 * B)
-                velocity = (share.twists[:, components] @ of_body).reshape(-1, 3, B)
+                of_body = moves[share.body].reshape(moves.shape[1], 3 * B)
+                velocity = share.twists[:, components] @ of_body
                 if share.adds:
-                    part[share.parameters] += velocity
+                    part[share.parameters] += velocity.reshape(len(velocity), 3, B)
                 else:
-                    part[share.parameters] = velocity
+                    part[share.parameters] = velocity.reshape(len(velocity), 3, B)
             if len(directions.bases) > 1:
                 bases = directions.bases[:, components]
                 add_columns(part, moves[0], bases, samples.frame[block])
