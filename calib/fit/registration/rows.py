@@ -266,8 +266,10 @@ class Rows:
             count = len(range(*which.indices(len(self))))
             is_whole = count == len(self) and which.step in (None, 1)
         else:
-            chosen = np.flatnonzero(which) if np.asarray(which).dtype == bool else which
-            is_whole = len(chosen) == len(self) and np.array_equal(chosen, np.arange(len(self)))
+            given = np.asarray(which)
+            numbers = np.flatnonzero(given) if given.dtype == bool else given
+            is_whole = len(numbers) == len(self) and np.array_equal(numbers, np.arange(len(self)))
+            chosen = numbers
         if is_whole:
             return self
         partner = self.partner[chosen]
