@@ -28,6 +28,10 @@ from calib.robot.kernel import over_blocks, sum_over_blocks
 #: Number of normal equations to cache; stages ask for the same ones again.
 _CACHED = 3
 
+#: The most weights of several fits that are cached with their equations (32 MB): folds of many rows are not asked for
+#: again.
+_MOST_CACHED = 2**22
+
 #: Divisor in place of zero.
 _TINY = 1e-300
 
@@ -244,8 +248,9 @@ class LinearProblem(Value):
         yy = rr + (2.0 * g + Hx) @ self.x
         known = (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
         equations = NormalEquations(H, g + Hx, yy, count, known, self.held, log_det)
-        latest = (weights.copy(), stop_shares.copy(), (products, equations))
-        self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
+        if len(weights) == 1 or weights.size <= _MOST_CACHED:
+            latest = (weights.copy(), stop_shares.copy(), (products, equations))
+            self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
         return products, equations
 
     def fit(
