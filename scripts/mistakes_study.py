@@ -163,7 +163,7 @@ def right_table(robot: Robot, kind: str, *, free: bool) -> Measurements:
         kinds=("pose" if kind == "poses" else "point",) * ROWS,
         points=add_noise(poses[:, :3, 3], NOISE, rng),
         rotations=poses[:, :3, :3] if kind == "poses" else None,
-        targets=("a", "b") * (ROWS // 2) if kind == "targets" else ("",) * ROWS,
+        targets=("a", "b") * (ROWS // 2) if kind == "targets" else (),
         groups=("", "second") * (ROWS // 2) if kind == "stations" else ("",) * ROWS,
     )
 

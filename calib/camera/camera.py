@@ -61,6 +61,8 @@ class Camera(Value):
     #: Standard deviation of each, in its unit, shape (m,): 0 for one that is exact, `UNKNOWN` for one that is not
     #: known. None: the default for a camera whose intrinsics are given, see `calib.camera.lenses.Lens.default_sigma`.
     sigma: Array | None = None
+    #: Intrinsics, in the same order, from which a fit begins if none are given; None: it finds them in the images.
+    start: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the image's size, the lens and the intrinsics (`CalibError`), and keep read-only copies of these."""

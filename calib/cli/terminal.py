@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import typer
+
+from calib.basics.progress import Stage, watching
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -39,6 +42,18 @@ _RULE = re.compile(r"(=+|-+)$")
 #: Characters that control a terminal; file names may hold them.
 _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
+
+#: What the stages of a calibration are called while they last.
+WORK = {
+    Stage.READING: "reading",
+    Stage.MISTAKES: "usual mistakes",
+    Stage.MODELS: "models",
+    Stage.FOLDS: "cross-validation",
+    Stage.VERDICT: "residuals and verdict",
+    Stage.BOOTSTRAP: "bootstrap",
+    Stage.PROFILE: "profile likelihood",
+    Stage.WRITING: "writing",
+}
 
 #: The first columns of a table of robots hold words, the others numbers.
 _WORD_COLUMNS = 4
@@ -111,12 +126,11 @@ def command_line() -> str:
 
 
 @contextmanager
-def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, int], None] | None]:
+def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
     """Show a bar on stderr for each stage of the work in the block.
 
     Args:
         quiet: Whether no bar is wanted.
-        first: The name of work before the first stage, whose amount is not known: its bar moves to and fro.
 
     Yields:
         A function of the stage's name, the work done and all of its work; None if ``quiet``, or if stderr is not a
@@ -130,13 +144,9 @@ def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, 
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, TaskID] = {}
-        if first:
-            tasks[first] = bar.add_task(first, total=None)
 
         def advance(stage: str, done: int, total: int) -> None:
             """Show how much of a stage is done, in a bar that its first call adds."""
-            if first in tasks:
-                bar.remove_task(tasks.pop(first))
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=total)
             bar.update(tasks[stage], completed=done, total=total)
@@ -145,18 +155,95 @@ def stages_bar(*, quiet: bool, first: str = "") -> Iterator[Callable[[str, int, 
 
 
 @contextmanager
-def progress_bar(
-    label: str, *, quiet: bool, first: str = ""
-) -> Iterator[Callable[[int, int], None] | None]:
+def progress_bar(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     """Show a bar on stderr for the work in the block.
 
     Args:
         label: The name of the work.
         quiet: Whether no bar is wanted.
-        first: The name of what comes before it, whose amount is not known.
 
     Yields:
         A function of the work done and all of the work; None if ``quiet``, or if stderr is not a terminal.
     """
-    with stages_bar(quiet=quiet, first=first) as advance:
+    with stages_bar(quiet=quiet) as advance:
         yield None if advance is None else partial(advance, label)
+
+
+class Pace:
+    """Tells the time that a stage still takes, by the time that its parts took so far."""
+
+    def __init__(self, now: float) -> None:
+        """Begin a stage at a time [s]."""
+        self._began = now
+        self._ends: float | None = None
+
+    def count(self, done: int, of: int, now: float) -> None:
+        """Count the parts that are done at a time [s]: each of the others takes as long as one of these did."""
+        if done > 0:
+            self._ends = now + (now - self._began) / done * (of - done)
+        else:  # what precedes the first part is none of its time
+            self._began = now
+
+    def left(self, now: float) -> float | None:
+        """Return the time that is left [s], >= 0; None before a part is done."""
+        return None if self._ends is None else max(self._ends - now, 0.0)
+
+
+@contextmanager
+def work_line(*, quiet: bool) -> Iterator[None]:
+    """Show in one line on stderr what the work in the block does, see `calib.basics.progress`.
+
+    The line has the stage, a bar if the number of its parts is known, what is tried, the time that is left of the
+    stage, and the time since the beginning. It is gone at the end.
+
+    Args:
+        quiet: Whether no line is wanted; nor is there one if stderr is not a terminal.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+    from rich.table import Column
+    from rich.text import Text
+
+    began = time.monotonic()
+    pace, tried = Pace(began), 0
+
+    class Times(ProgressColumn):
+        """The time that is left of the stage, if it is known, and the time since the beginning."""
+
+        def render(self, task: Task) -> Text:  # noqa: ARG002
+            """Return the text for this moment."""
+            now = time.monotonic()
+            left = pace.left(now)
+            since = f"{now - began:.0f} s"
+            return Text(since if left is None else f"{left:.0f} s left, {since}")
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[what]}", markup=False, table_column=Column(no_wrap=True)),
+        Times(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        line = bar.add_task("", total=None, what="")
+
+        def show(stage: Stage | None, what: str, done: int, of: int) -> None:
+            """Show what is said."""
+            nonlocal pace, tried
+            now = time.monotonic()
+            if stage is not None:
+                pace, tried = Pace(now), 0
+                bar.reset(line, total=None, description=WORK[stage], what="")
+                bar.refresh()
+            if what:
+                tried += 1
+                bar.update(line, what=f"{tried}: {what}")
+            if of:
+                pace.count(done, of, now)
+                bar.update(line, completed=done, total=of)
+
+        with watching(show):
+            yield

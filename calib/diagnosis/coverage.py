@@ -42,7 +42,7 @@ _NARROW = 1.0 / 3.0
 _HEAD_ON = np.radians(15.0)
 
 #: An image with fewer corners determines the board's pose poorly, however well it fits.
-_FEW_CORNERS = 15
+FEW_CORNERS = 15
 
 #: A larger share of images with few corners is reported.
 _SHARE = 0.2
@@ -480,9 +480,9 @@ def doubtful_views(fitted: Fitted) -> Iterator[Reason]:
     most = float(np.max(views.tilt))
     if most < _HEAD_ON:
         yield Reason.of(Why.BOARD_HEAD_ON, tilt_rad=most)
-    few = int(np.sum(views.corners < _FEW_CORNERS))
+    few = int(np.sum(views.corners < FEW_CORNERS))
     if few > _SHARE * len(views.corners):
-        yield Reason.of(Why.FEW_CORNERS, images=few, all=len(views.corners), corners=_FEW_CORNERS)
+        yield Reason.of(Why.FEW_CORNERS, images=few, all=len(views.corners), corners=FEW_CORNERS)
     across = spread_of_axes(views.R_base_tip)
     if across < _ONE_AXIS:
         yield Reason.of(Why.ONE_AXIS, across_rad=across)

@@ -26,6 +26,12 @@ FALSE_ALARM = 0.003
 #: Directions whose singular value is below this, for columns of norm 1, are not in the range of a matrix.
 _CUT = 1e-6
 
+#: Columns of norm 1 of whose product the eigenvalues are above this are as well made orthogonal by these.
+_WELL_CONDITIONED = 1e-3
+
+#: A column of which more than this share of the square is in a range loses digits when that is taken out.
+_NEARLY_ALONG = 0.99
+
 #: The same limit for differences of regressors between repeats of a pose: joint values repeat to `1e-3` only.
 _CUT_WITHIN = 1e-2
 
@@ -373,9 +379,12 @@ def f_test(base: Array, r: Array, Z: Array, sizes: Array, used: int = 0) -> Expl
         degree of freedom or no residual is left.
     """
     remaining = r - base @ (base.T @ r)
-    # Twice is enough to be orthogonal to rounding, if Z almost lies in the range of the base.
-    Z = Z - base @ (base.T @ Z)
-    additional = range_of(Z - base @ (base.T @ Z), sizes)
+    along = base.T @ Z
+    if np.any(np.sum(along**2, axis=0) > _NEARLY_ALONG * np.sum(Z**2, axis=0)):
+        # Twice is enough to be orthogonal to rounding, if Z almost lies in the range of the base.
+        Z = Z - base @ along
+        along = base.T @ Z
+    additional = range_of(Z - base @ along, sizes)
     square = float(remaining @ remaining)
     before = len(r) - base.shape[1] - used
     columns = additional.shape[1]
@@ -449,7 +458,14 @@ def range_of(A: Array, sizes: Array | None = None, cut: float = _CUT) -> Array:
         return np.zeros((len(A), 0))
     if sizes is None:
         sizes = norms_of(A)
-    vectors, values, _ = np.linalg.svd(A / sizes, full_matrices=False)
+    scaled = A / sizes
+    squares, directions = np.linalg.eigh(scaled.T @ scaled)
+    kept = squares > _WELL_CONDITIONED
+    if np.all(
+        kept | (squares < 0.1 * cut**2)
+    ):  # no square is near the cut, where it has few digits
+        return np.asarray(scaled @ (directions[:, kept] / np.sqrt(squares[kept])))
+    vectors, values, _ = np.linalg.svd(scaled, full_matrices=False)
     return np.asarray(vectors[:, values > cut])
 
 
@@ -459,6 +475,9 @@ def _means(cells: Integers, values: Array) -> Array:
     ``cells`` has the number, from 0, of each scalar's cell.
     """
     counts = np.bincount(cells)
-    order, starts = np.argsort(cells, kind="stable"), np.cumsum(counts) - counts
+    order = np.argsort(cells, kind="stable")
+    if len(counts) == len(cells):  # nothing is repeated
+        return np.asarray(values[order])
+    starts = np.cumsum(counts) - counts
     sums = np.add.reduceat(values[order], starts, axis=0)
     return np.asarray((sums.T / np.sqrt(counts)).T)

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
+from calib.basics.progress import trying
 from calib.camera.optics import FOCAL
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -212,6 +213,7 @@ def mistakes_of_pictures(robot: Robot, cell: Cell, table: Measurements) -> tuple
             continue
         names = np.array([table.images[row] or str(table.rows[row]) for row in views.first])
         station = setup.groups[f] if len(setup.groups) > 1 else ""
+        trying(Why.PICTURES_EXCHANGED.value)
         for reason, concerned in _explanations(views, names, table.rows, station):
             numbers: tuple[int, ...] = ()
             if concerned is not None:
@@ -268,6 +270,7 @@ def _shifted(setup: Setup, T_base_tip: Array, poses: Rows, numbers: Integers) ->
 
     ``numbers``, (V,), are those of the first rows of the views in the table.
     """
+    trying(Why.ROWS_SHIFTED.value)
     place = np.arange(len(poses))
     for step in (1, -1):
         shifted = place[(place + step >= 0) & (place + step < len(poses))]
@@ -308,6 +311,7 @@ def _late(robot: Robot, setup: Setup, q: Array, poses: Rows) -> Reason | None:
         placed = register_all_rows(tips, setup, poses, tolerance=_TOLERANCE)
         return rms(_errors(placed, tips, poses))
 
+    trying(Why.JOINTS_LATE.value)
     as_given = error(0.0, _not_yet_arrived)
     tried = []
     for undo, sign in ((_old_values, 1.0), (_early_values, -1.0), (_not_yet_arrived, 1.0)):

@@ -15,6 +15,7 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, Integers
+from calib.basics.progress import trying
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.priors import Priors
@@ -282,6 +283,7 @@ def find_usual_mistake(
     explanations = [(False, turned.values["error_m"], turned)] if turned else []
     for trials in searches:
         for trial in trials:
+            trying(trial.mistake.code)
             error, _ = misfit(trial.robot, trial.setup, trial.rows)
             weighted = trial.factor * error
             largest = PLAUSIBLE if trial.mistake.why is Why.TWO_MISTAKES else _EXPLAINED

@@ -139,6 +139,27 @@ def initial_internals(
     return read_only(values), tuple(unknowns)
 
 
+def with_starts(cell: Cell, measurements: Measurements, internals: Array | None) -> Cell:
+    """Return the cell with cameras of unknown intrinsics that say where a fit of them begins.
+
+    Args:
+        cell: The cell as given.
+        measurements: Table of N rows.
+        internals: shape (N, c), the internals of these rows before the fit; None if no instrument has any.
+    """
+    if internals is None:
+        return cell
+    groups = np.array(measurements.groups)
+    cameras = dict(cell.cameras)
+    for name, camera in cell.cameras.items():
+        of_camera = groups == name if name else ~np.isin(groups, list(cell.cameras))
+        rows = np.flatnonzero(measurements.is_image & of_camera)
+        if camera.values is None and len(rows):
+            columns = optics.intrinsic_columns(LENSES[camera.lens])
+            cameras[name] = replace(camera, start=read_only(internals[rows[0], columns]))
+    return replace(cell, cameras=cameras)
+
+
 def _owners(
     place_by_name: Mapping[str, str],
     numbers: Integers,
@@ -215,9 +236,10 @@ def _check_squares(
     board: Board, names: list[str], points: Array, measurements: Measurements
 ) -> None:
     """Refuse a table whose n named corners of a board, (n, 3) [m], lie further apart, or nearer, by one factor."""
-    if not all(name.isdecimal() and int(name) < len(board.corners) for name in names):
+    corners = board.corners
+    if not all(name.isdecimal() and int(name) < len(corners) for name in names):
         return  # the names are not those of calib: they may be of other places
-    designed = board.corners[[int(name) for name in names]]
+    designed = corners[[int(name) for name in names]]
     far_designed = np.linalg.norm(designed - designed.mean(axis=0), axis=1)
     far = np.linalg.norm(points - points.mean(axis=0), axis=1)
     extent = float(far_designed @ far_designed)
@@ -245,13 +267,14 @@ def _camera_numbers(
     """
     lens = LENSES[camera.lens]
     widest = np.array([_WIDE[unit] for unit in lens.units])
-    start = camera.values
+    start = camera.start if camera.values is None else camera.values
     if start is None:
         views = []
         for number in np.unique(view).tolist():
             of_view = view == number
             views.append((points[of_view], pixels[of_view]))
         start = initial_intrinsics(camera, views)
+    if camera.values is None:
         sigma = widest
     elif camera.sigma is None:
         sigma = lens.default_sigma(start, camera.width)

@@ -119,10 +119,19 @@ def changed_internals(
         return None
     values = before.copy()
     number_of_parameter = np.full(values.shape, FIXED)
+    # All that change one column where others have certain values, such as the corners of a board, are found at once.
+    alike: dict[tuple[int | None, tuple[int, ...]], list[tuple[tuple[float, ...], float, int]]] = {}
     for parameter, value, number in changes:
-        rows = np.ones(len(before), dtype=bool)
-        for column, selected in parameter.samples:
-            rows &= before[:, column] == selected
-        values[rows, parameter.internal] += value
-        number_of_parameter[rows, parameter.internal] = number
+        columns = tuple(column for column, _ in parameter.samples)
+        selected = tuple(float(wanted) for _, wanted in parameter.samples)
+        alike.setdefault((parameter.internal, columns), []).append((selected, value, number))
+    for (internal, columns), of_parameters in alike.items():
+        wanted = np.array([selected for selected, _, _ in of_parameters])
+        of_rows = before[:, columns]
+        matches = np.ones((len(before), len(of_parameters)), dtype=bool)
+        for k in range(len(columns)):
+            matches &= of_rows[:, k, None] == wanted[:, k]
+        rows, which = np.nonzero(matches)
+        values[rows, internal] += np.array([value for _, value, _ in of_parameters])[which]
+        number_of_parameter[rows, internal] = np.array([n for _, _, n in of_parameters])[which]
     return InternalValues(values, number_of_parameter)

@@ -153,15 +153,21 @@ def _robot_parameters(robot: Robot, name: str, gravity: tuple[float, ...]) -> tu
             f"{len(robot.limbs)} limbs, to {choices(limb.tip for limb in robot.limbs)}. Choose --model placement, "
             "which has all six errors of each joint, or zeros."
         )
+    parameters = list(_geometric_parameters(robot, set_name))
+    for family in families:
+        parameters += joint_parameters(robot, family, gravity)
+    return tuple(parameters)
+
+
+@lru_cache(maxsize=16)
+def _geometric_parameters(robot: Robot, set_name: str) -> tuple[Parameter, ...]:
+    """Return the parameters of a set, without families; candidates differ in these more often than in the set."""
     # The limbs share what they pass together.
     by_name: dict[str, Parameter] = {}
     for limb in robot.limbs:
         for parameter in MODELS[set_name](limb):
             by_name.setdefault(parameter.name, parameter)
-    parameters = list(by_name.values())
-    for family in families:
-        parameters += joint_parameters(robot, family, gravity)
-    return tuple(parameters)
+    return tuple(by_name.values())
 
 
 def frame_and_target_model(

@@ -29,7 +29,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from calib.basics.arrays import Array
 
@@ -140,6 +139,9 @@ def _likeliest(
     stated: Array, by_joints: Array, squares: Array, weights: Array, start: PoseNoise
 ) -> tuple[PoseNoise, float]:
     """Return the noise by what `likeliest_noise` takes, as it does, and the least value of the module's sum."""
+    # Imported late: only poses with covariances need it.
+    from scipy.optimize import minimize
+
     begin = [start.scale, start.position, start.orientation, start.joint]
     of_position = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     of_orientation = np.eye(POSE) - of_position

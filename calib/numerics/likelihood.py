@@ -165,6 +165,16 @@ class NormalEquations:
         divisor = np.where(proper, family_precision, 1.0)
         return np.where(proper, self.held**2 / divisor, 0.0)
 
+    def without(self, part: NormalEquations) -> NormalEquations:
+        """Return the equations without some of the rows, whose own ones are given; the constraints stay."""
+        return replace(
+            self,
+            H=self.H - part.H,
+            g=self.g - part.g,
+            yy=self.yy - part.yy,
+            count=self.count - part.count,
+        )
+
     def times(self, factor: float) -> NormalEquations:
         """Return the equations of rows whose weights are all multiplied by a factor; constraints stay."""
         return replace(
@@ -216,5 +226,5 @@ def _outer(scale: Array) -> Array:
 
 
 def diagonals(M: Array) -> Array:
-    """Return a view of the diagonals of matrices (B, p, p), shape (B, p): writing to it changes M."""
-    return np.asarray(np.einsum("bii->bi", M))
+    """Return a view of the diagonals of contiguous matrices (B, p, p), shape (B, p): writing to it changes M."""
+    return M.reshape(len(M), -1)[:, :: M.shape[-1] + 1]

@@ -35,6 +35,14 @@ _NO_RISE = 1e-12
 #: Logarithms whose steps are shorter have converged.
 _CONVERGED = 1e-4
 
+#: The same if the likelihood is only compared with that of other models: a step this short no longer takes a standard
+#: deviation that vanishes, whose steps are longer than half.
+_NEARLY_CONVERGED = 0.1
+
+#: And the step promises to raise the log-likelihood by less. Steps shrink like a geometric series, of a ratio up to
+#: 0.9, so all that follow add no more than a few times that: next to nothing beside a unit.
+_LITTLE_RISE = 1e-3
+
 #: Damping of the information matrix, as a share of its diagonal.
 _DAMPING = 1e-3
 
@@ -64,6 +72,8 @@ def prior_std_by_reml(
     start: tuple[Array, Array],
     priors: GaussianPriors,
     limits: VarianceLimits,
+    *,
+    only_compared: bool = False,
 ) -> tuple[Array, Array]:
     """Estimate noise and prior standard deviations of B fits, by damped Fisher scoring on their logarithms.
 
@@ -74,6 +84,8 @@ def prior_std_by_reml(
             family's parameters, to begin with.
         priors: Normal priors of the p parameters besides those of the families; they stay as they are.
         limits: Bounds of the result.
+        only_compared: Whether the likelihood of the result is only compared with that of other models: it is then the
+            highest but for a few times `_LITTLE_RISE`.
 
     Returns:
         The noise of each channel, shape (B, C), and the prior standard deviation of each family, shape (B, K), in its
@@ -93,12 +105,13 @@ def prior_std_by_reml(
     logs = np.clip(np.log(np.hstack(start)), lowest, highest)
     last_step = np.zeros_like(logs)
     moving = np.arange(B)  # the fits that have not converged
+    still_moving = moving
     for _ in range(_ITERATIONS):
+        if len(moving) < len(data.g):
+            data = data.of_fits(still_moving)
         before = logs[moving]
         priors_of_moving = GaussianPriors(precision[moving], priors.centre)
-        score, information = score_and_information(
-            data.of_fits(moving), members, priors_of_moving, before
-        )
+        score, information = score_and_information(data, members, priors_of_moving, before)
         score -= log_precision * before
         diagonals(information)[...] += log_precision
         stopped_low = (before <= lowest) & (score < 0)
@@ -106,23 +119,28 @@ def prior_std_by_reml(
         at_bound = stopped_low | stopped_high
 
         # A damped Newton step, limited; 0 for what is at its bound.
-        score[at_bound] = 0.0
         pivots = diagonals(information)
         pivots += _DAMPING * pivots + _LEAST_DAMPING
-        information[at_bound[:, :, None] | at_bound[:, None]] = 0.0
-        pivots[at_bound] = 1.0
+        if at_bound.any():
+            score[at_bound] = 0.0
+            information[at_bound[:, :, None] | at_bound[:, None]] = 0.0
+            pivots[at_bound] = 1.0
         newton_step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
-        step = np.clip(newton_step, -_STEP_DOWN, _STEP_UP)
+        step = np.minimum(np.maximum(newton_step, -_STEP_DOWN), _STEP_UP)
         # A prior standard deviation that vanishes may be arbitrarily small: its steps do not raise the likelihood.
         rise = np.sum(step * score, axis=1)
         step[np.abs(rise) < _NO_RISE] = 0.0
         # The expected information may be too small by half: then full steps overshoot, to and fro.
         step = np.where(step * last_step[moving] < 0.0, 0.5 * step, step)
-        after = np.clip(before + step, lowest, highest[moving])
+        after = np.minimum(np.maximum(before + step, lowest), highest[moving])
         last_step[moving] = step
         logs[moving] = after
         change = np.abs(after - before).max(axis=1)
-        moving = moving[change >= _CONVERGED]
+        converged = change < _CONVERGED
+        if only_compared:
+            converged |= (change < _NEARLY_CONVERGED) & (rise < _LITTLE_RISE)
+        still_moving = np.flatnonzero(~converged)
+        moving = moving[still_moving]
         if not len(moving):
             break
     values = np.exp(logs)

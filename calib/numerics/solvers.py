@@ -48,6 +48,13 @@ _SINGULAR = 1e-6
 System = Callable[[Array], tuple[Array, Array]]
 
 
+#: After a step of a higher gain the next one is made longer.
+_SHORT = 1.2
+
+#: It is made longer by at most this factor.
+_LONGEST = 20.0
+
+
 @dataclass(frozen=True, slots=True)
 class Iteration:
     """One trial step."""
@@ -101,6 +108,10 @@ def levenberg_marquardt(
     The step minimises |r + J dx|^2 + mu |D dx|^2, where D are the largest column norms of J so far (J. Moré, 1978) and
     mu follows the gain ratio (H. B. Nielsen, 1999).
 
+    Where residuals stay large, as of images or of a wrong set-up, E curves less than r + J dx says: all steps are too
+    short by the same factor. The parabola through E, its slope and its value after a step of the gain g has its minimum
+    at 1 / (2 - g) times the step. So a step with g well above 1 is followed by one that is longer by this factor.
+
     Args:
         system: Maps x, shape (p,), to the residual r, (m,), and its Jacobian dr/dx, (m, p).
         x0: shape (p,), start.
@@ -122,6 +133,7 @@ def levenberg_marquardt(
     R, rhs = _triangle(J, r)
     mu = _FIRST_DAMPING
     raise_by = 2.0  # factor of the damping at the next step that fails
+    stretch = 1.0
     history: list[Iteration] = []
     status = "converged"
     while True:
@@ -133,21 +145,26 @@ def levenberg_marquardt(
             message = _CONVERGED
             break
 
-        trial_x = x + dx
+        trial_x = x + stretch * dx
         trial_r, trial_J = system(trial_x)
         trial_cost = _cost(trial_r)
         gain = (cost - trial_cost) / predicted if np.isfinite(trial_cost) else -np.inf
-        history.append(Iteration(cost, mu, gain, length, gain > 0))
+        history.append(Iteration(cost, mu, gain, stretch * length, gain > 0))
         if gain > 0:
             x, cost = trial_x, trial_cost
             R, rhs = _triangle(trial_J, trial_r)
             scale = np.maximum(scale, _column_norms(trial_J))
+        if stretch > 1.0:  # a plain step follows, whose gain tells how far the next may go
+            stretch = 1.0
+        elif gain > 0:
             # The closer the gain is to 1, the more the damping falls.
             factor = 0.1
             if gain < _GOOD_GAIN:
                 factor = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
             mu = max(mu * factor, _LOWEST_DAMPING)
             raise_by = 2.0
+            if gain > _SHORT:
+                stretch = 1.0 / max(2.0 - gain, 1.0 / _LONGEST)
         else:
             mu = mu * raise_by
             raise_by = raise_by * 2.0

@@ -15,6 +15,7 @@ from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
+from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
 from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
 from calib.data.measurements import Measurements
@@ -34,6 +35,7 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.fit.selection.candidates import alternative_models, mark_chosen
 from calib.fit.selection.cross_validation import cross_validation, nominal_cross_validation
 from calib.fit.selection.row_weights import compare_weights
+from calib.instruments.internals import with_starts
 from calib.model.error_model import Parameter
 from calib.numerics.errors import CrossValidation, rms
 from calib.numerics.neighbours import along_path
@@ -107,10 +109,13 @@ def calibrate(
     if is_flange_robot(arm.joint_names):
         stated, model = _of_flange_poses(stated, model), None
     measured = measured.without_copies()
-    if arm.mounts:
+    if arm.mounts or stated.cameras:
         rows, setup = rows_and_setup(arm, measured, stated)
-        arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
+        stated = with_starts(stated, measured, rows.samples.internals)
+        if arm.mounts:
+            arm = with_mounts_found(arm, setup, rows.select(measured.estimation))
     measured = numbered_from_one_end(arm, measured, stated)
+    begin(Stage.MISTAKES)
     measured, found, wrong = without_mistakes_of_pictures(arm, stated, measured)
     measured, thinned = with_fewer_corners(measured)
     found += thinned
@@ -123,12 +128,15 @@ def calibrate(
         robust=robust,
         mistake=wrong,
     )
-    drift = None
+    begin(Stage.VERDICT)
+    drift = patterns = None
     if validate and not fits.mistake:
-        drift = _found_drift(measured, fits)
+        patterns = tuple(patterns_in_table(fits.best, measured))
+        drift = _found_drift(patterns, measured, fits)
     if drift is not None:
         measured = _without_drift(measured, drift)
         fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
+        patterns = None  # of the table before
 
     if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
         return _with_verdict_against(_assemble(measured, fits), fits.mistake)
@@ -139,7 +147,7 @@ def calibrate(
     before = list(found)
     if drift is not None:
         before.append(Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))))
-    return _assemble_validated(measured, fits, progress, tuple(before))
+    return _assemble_validated(measured, fits, progress, tuple(before), patterns)
 
 
 def without_mistakes_of_pictures(
@@ -182,13 +190,15 @@ def _of_flange_poses(cell: Cell, model: str | Sequence[Parameter] | None) -> Cel
     return replace(cell, model="frames")
 
 
-def _found_drift(measurements: Measurements, fits: TableFits) -> Array | None:
+def _found_drift(
+    patterns: tuple[Reason, ...], measurements: Measurements, fits: TableFits
+) -> Array | None:
     """Return the drift of the measured positions from the first fitted row to the last, (3,) [m], in their frame.
 
-    None if there is none that predicts held-out rows, and whose vector can be told (`residual_patterns`); or if joint
-    values are late, which along a path looks like a drift.
+    None if it is not among the patterns of the best fit, predicts no held-out rows, or its vector cannot be told
+    (`residual_patterns`); or if joint values are late, which along a path looks like a drift.
     """
-    for reason in patterns_in_table(fits.non_geometric or fits.geometry, measurements):
+    for reason in patterns:
         values = reason.values
         if reason.why is Why.DRIFT and "drift_xyz" in values and values["falls"] >= PREDICTS:
             is_late = any(late_in_table(fits.geometry, measurements))
@@ -219,15 +229,18 @@ def _assemble_validated(
     fits: TableFits,
     progress: Progress | None,
     found: tuple[Reason, ...] = (),
+    patterns: tuple[Reason, ...] | None = None,
 ) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdicts.
 
-    ``found`` is what was found before the fit, such as a drift that was taken out of the measurements.
+    ``found`` is what was found before the fit, such as a drift that was taken out of the measurements; ``patterns`` are
+    those in the residuals of the best fit, None if they were not looked for.
 
     A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
     the next candidates are tried, and none stays if none does. One that the user named stays.
     """
     outliers = fits.geometry.estimate.outliers
+    begin(Stage.FOLDS)
 
     def validate(fitted: Fitted, part: int, parts: int) -> CrossValidation:
         """Cross-validate a fit, reported as one of several parts that have as many folds each."""
@@ -266,11 +279,16 @@ def _assemble_validated(
                 break
         name = "" if confirmed is None else str(confirmed.task.model)
         candidates = mark_chosen(fits.candidates, str(fits.geometry.task.model), name)
+        if confirmed is not chosen:  # the patterns are of another fit
+            patterns = None
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
+    begin(Stage.VERDICT)
+    if patterns is None:
+        patterns = tuple(patterns_in_table(fits.best, measurements))
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
-    return add_verdicts(result, fits.fitted_rows, found)
+    return add_verdicts(result, fits.fitted_rows, patterns, found)
 
 
 def _assemble(

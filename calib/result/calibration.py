@@ -134,7 +134,7 @@ class Calibration(Value):
         return str(shown_by("verbs.calibrate.report").summary(self))
 
     def checked_urdf(self, *, target_link: bool = False, frame_link: bool = False) -> Urdf:
-        """Return the URDF that `write_urdf` writes, read back with Pinocchio and yourdfpy.
+        """Return the URDF that `write_urdf` writes, read back with Pinocchio and calib.
 
         A verdict ``do not use`` stands in it as a comment; it is not obeyed here.
 
@@ -165,7 +165,7 @@ class Calibration(Value):
         frame_link: bool = False,
         accept: bool = False,
     ) -> Path:
-        """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and yourdfpy.
+        """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and calib.
 
         Args:
             path: The file.

@@ -36,12 +36,18 @@ _FEW_SUSPECTS = 0.15
 _PER_JOINT = 4
 
 
-def add_verdicts(result: Calibration, rows: Rows, found: tuple[Reason, ...] = ()) -> Calibration:
+def add_verdicts(
+    result: Calibration,
+    rows: Rows,
+    patterns: tuple[Reason, ...],
+    found: tuple[Reason, ...] = (),
+) -> Calibration:
     """Return a result with the verdicts on its geometry and on its non-geometric model.
 
     Args:
         result: A cross-validated result, with its measurements and fits in memory.
         rows: The rows that were fitted.
+        patterns: Those in the residuals of its best fit, see `calib.result.doubts.patterns_in_table`.
         found: What was found before the fit: doubts, and what only informs, to be stated with the rest of the geometry.
 
     Returns:
@@ -49,7 +55,7 @@ def add_verdicts(result: Calibration, rows: Rows, found: tuple[Reason, ...] = ()
     """
     notes = tuple(reason for reason in found if reason.why.role is Role.INFORMATION)
     before = (reason for reason in found if reason.why.role is not Role.INFORMATION)
-    doubts = (*before, *find_doubts(result, rows))
+    doubts = (*before, *find_doubts(result, rows, patterns))
     larger, of_larger = result.non_geometric, result.fit.non_geometric
     usable = None
     if larger is not None and of_larger is not None:

@@ -46,7 +46,7 @@ _FAR_ABOVE = 100.0
 _ELSEWHERE = 5e-3
 
 
-def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
+def find_doubts(result: Calibration, rows: Rows, patterns: tuple[Reason, ...]) -> Iterator[Reason]:
     """Find the reasons for doubt about a result besides its errors.
 
     They concern the fit of the non-geometric model if the result has one, else that of the geometry.
@@ -54,6 +54,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     Args:
         result: A result in memory, with its measurements and fits.
         rows: The rows that were fitted.
+        patterns: Those in the residuals of that fit, see `patterns_in_table`.
 
     Yields:
         Reasons, each a code with the numbers of its sentence in SI units, in the order of the report.
@@ -84,7 +85,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
         yield from _agreeing_repeats(result, fitted)
         return
     yield from contradicted_values(few, scale)
-    yield from doubtful_views(few)
+    yield from doubtful_views(fitted)
     is_flange = is_flange_robot(result.nominal.joint_names)
     if not is_flange:
         yield from doubtful_senses(result.nominal, cell, m.select(m.estimation))
@@ -95,7 +96,7 @@ def find_doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
     if _is_named_model(result) and not is_flange:
         yield from _missing_model(few)
     yield from partial_coverage(few)
-    yield from patterns_in_table(fitted, m)
+    yield from patterns
     yield from disagreeing_stations(few)
     yield from flagged_station(fitted)
     yield from _agreeing_repeats(result, fitted)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from calib.data.measurements import Measurements
+from calib.diagnosis.coverage import FEW_CORNERS
 from calib.diagnosis.reasons import Reason, Why
 
 #: Corners to estimate from that are all fitted.
 _MANY_CORNERS = 1500
 
-#: Of more about this number is, evenly over the pictures, and the fewest of a picture: twice those of a pose, and some.
+#: Of more about this number is, evenly over the pictures; each keeps what determines its board's pose well.
 _ENOUGH_CORNERS = 1200
-_FEWEST_CORNERS = 12
 
 #: Steps of this share of the corners are spread evenly, however many pictures there are.
 _GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
@@ -21,7 +21,7 @@ _GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 def with_fewer_corners(measurements: Measurements) -> tuple[Measurements, tuple[Reason, ...]]:
     """Keep some corners of each picture if those to estimate from are very many, and say so; validation rows stay.
 
-    Those of one picture share the robot's error there, and a dozen determine where the board is. Each corner of the
+    Those of one picture share the robot's error there, and fifteen determine where the board is. Each corner of the
     board is kept as often as any other.
 
     Args:
@@ -39,7 +39,7 @@ def with_fewer_corners(measurements: Measurements) -> tuple[Measurements, tuple[
     views: dict[tuple[str, str, str, bytes], list[int]] = {}
     for row in np.flatnonzero(fitted).tolist():
         views.setdefault(labels[row], []).append(row)
-    each = max(_ENOUGH_CORNERS // len(views), _FEWEST_CORNERS)
+    each = max(_ENOUGH_CORNERS // len(views), FEW_CORNERS)
     kept = ~fitted
     for k, rows in enumerate(views.values()):
         count = min(each, len(rows))

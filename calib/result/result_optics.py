@@ -73,7 +73,7 @@ def result_optics(fitted: Fitted, rows: Rows, geometry: FittedModel) -> ResultOp
                 sigma = np.full(len(start), UNKNOWN)
             elif sigma is None:
                 sigma = lens.default_sigma(start, camera.width)
-            cameras[station] = replace(camera, values=start, sigma=sigma)
+            cameras[station] = replace(camera, values=start, sigma=sigma, start=None)
         name = _key(setup.targets[target], given.boards)
         if name is not None:
             boards.setdefault(name, given.boards[name])

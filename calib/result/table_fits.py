@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.basics.arrays import Mask
 from calib.basics.jobs import one_blas_thread
+from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason
@@ -64,6 +65,11 @@ class TableFits:
     mistake: Reason | None
     #: Time that choosing a model, registration and estimation took [s]
     seconds: float
+
+    @property
+    def best(self) -> Fitted:
+        """The fit that explains the rows best: of the non-geometric model, or of the geometry if there is none."""
+        return self.non_geometric or self.geometry
 
 
 @one_blas_thread()
@@ -117,6 +123,7 @@ def fit_table(
         mistake = find_usual_mistake(robot, cell, estimation, measurements)
     if mistake is None:
         mistake = frame_not_found(robot, seen, rows)
+    begin(Stage.MODELS)
     task = Task(robot, cell, seen, model, known_distances(cell, seen), solver, robust)
     if mistake and model == AUTO:  # no model of such measurements means anything
         check_parameter_names(task)

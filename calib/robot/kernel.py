@@ -176,8 +176,9 @@ class Motion:
             """Fill in linear or angular velocities (p, 3, B) by those per unit twist of each body (n + 3, d, 3, B)."""
             part[self._others] = 0.0
             for share in self._shares:
-                of_body = moves[share.body].reshape(-1, 3 * B)
-                velocity = (share.twists[:, components] @ of_body).reshape(-1, 3, B)
+                of_body = moves[share.body].reshape(moves.shape[1], 3 * B)
+                velocity = share.twists[:, components] @ of_body
+                velocity = velocity.reshape(len(velocity), 3, B)
                 if share.adds:
                     part[share.parameters] += velocity
                 else:

@@ -161,23 +161,43 @@ def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] |
     kind = path.suffix.lower()
     if kind not in KINDS:
         return None, f"is of a kind that is not read; save it as one of {', '.join(KINDS)}"
-    import trimesh  # takes half a second
-
     try:
-        with path.open("rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            scene: Any = trimesh.load_scene(file, file_type=kind[1:], process=False)
-            mesh = scene.to_mesh()
-            unit = 1.0
-            if kind == ".dae":
-                unit = trimesh.units.unit_conversion(scene.units, "meters")
-            used, faces = np.unique(mesh.faces, return_inverse=True)
-            vertices: Array = mesh.vertices[used] * (unit * np.asarray(scale, dtype=np.float64))
+        vertices, faces = _binary_stl(path) or _by_trimesh(path)
     except Exception:  # noqa: BLE001  the readers of many formats may raise anything
         return None, "cannot be read"
     if not len(vertices) or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
         return None, "is empty"
-    return (vertices, faces.reshape(-1, 3).astype(np.int64)), ""
+    return (vertices * np.asarray(scale, dtype=np.float64), faces), ""
+
+
+def _binary_stl(path: Path) -> tuple[Array, Faces] | None:
+    """Return vertices (3 F, 3) and faces (F, 3) of a binary STL file; None for another file.
+
+    After 80 bytes of any text and the number of triangles, each has its normal, its three corners and 2 more bytes.
+    """
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    if path.suffix.lower() != ".stl" or len(data) != 84 + 50 * count:
+        return None
+    triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("other", "<u2")])
+    corners = np.frombuffer(data, triangle, offset=84)["corners"]
+    return corners.reshape(-1, 3).astype(np.float64), np.arange(3 * count).reshape(-1, 3)
+
+
+def _by_trimesh(path: Path) -> tuple[Array, Faces]:
+    """Return vertices (V, 3) [m] and faces (F, 3) of a mesh file, or raise anything."""
+    import trimesh  # takes longer than all meshes of an arm in binary STL
+
+    kind = path.suffix.lower()
+    with path.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene: Any = trimesh.load_scene(file, file_type=kind[1:], process=False)
+        mesh = scene.to_mesh()
+        unit = 1.0
+        if kind == ".dae":
+            unit = trimesh.units.unit_conversion(scene.units, "meters")
+        used, faces = np.unique(mesh.faces, return_inverse=True)
+    return unit * mesh.vertices[used], faces.reshape(-1, 3).astype(np.int64)
 
 
 def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:

@@ -6,14 +6,15 @@ are coupled (`calib.robot.coupled_readings`); the readings within them are then 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Integers, read_only
 from calib.basics.units import unit_fault
 from calib.errors import CalibError, choices
 from calib.robot.robot import Robot
@@ -79,9 +80,6 @@ def spread_between(ranges: Array, count: int) -> Array:
 
         x_n = x_(n - 1) xor v_c,    c the lowest bit that is set in n
 
-    The direction numbers v are SciPy's, stored in a file, because importing SciPy's Sobol sequence pulls in
-    scipy.stats, which takes as long as a calibration.
-
     Args:
         ranges: Shape (m, 2), the lower and the upper bound of each column.
         count: The number of rows.
@@ -90,13 +88,11 @@ def spread_between(ranges: Array, count: int) -> Array:
         Shape (count, m), read-only.
     """
     low, high = ranges.T
-    directions = np.load(_DIRECTIONS, allow_pickle=False)
+    directions = _directions()
     bits, columns = directions.shape
-    if count < 2**bits and len(low) <= columns:
-        n = np.arange(1, count + 1)
-        lowest_bit = np.frexp(n & -n)[1] - 1
-        x = np.bitwise_xor.accumulate(directions[lowest_bit, : len(low)], axis=0)
-        share = x / 2.0**bits
+    if len(low) <= columns:
+        steps = directions[_lowest_bit(np.arange(1, count + 1)), : len(low)]
+        share = np.bitwise_xor.accumulate(steps, axis=0) / 2.0**bits
     else:
         share = sobol(count, len(low))
     return read_only(low + share * (high - low))
@@ -117,6 +113,60 @@ def sobol(count: int, columns: int) -> Array:
     sequence = qmc.Sobol(columns, scramble=False)
     sequence.fast_forward(1)
     return np.asarray(sequence.random(count))
+
+
+def scrambled_sobol(columns: int, size: int, seed: int | np.random.SeedSequence) -> Iterator[Array]:
+    """Yield blocks, without end, of points of SciPy's scrambled Sobol sequence.
+
+    The digits of each direction number, base 2, are multiplied by a random lower triangular matrix whose diagonal is 1,
+    and the sequence begins at a random point (J. Matousek, "On the L2-discrepancy for anchored boxes", 1998).
+
+    Args:
+        columns: The number of coordinates.
+        size: The number of points of a block, a power of two.
+        seed: Seed of the random numbers; the same one gives the same sequence.
+
+    Yields:
+        Shape (size, columns), from 0 to 1.
+    """
+    directions = _directions()
+    bits, most = directions.shape
+    if columns > most:
+        from scipy.stats import qmc
+
+        sequence = qmc.Sobol(columns, scramble=True, seed=np.random.default_rng(seed))
+        while True:
+            yield np.asarray(sequence.random(size))
+    rng = np.random.default_rng(seed)
+    places = np.arange(bits, dtype=np.uint32)
+    point = rng.integers(2, size=(columns, bits), dtype=np.uint32) @ (1 << places)
+    matrices = np.tril(rng.integers(2, size=(columns, bits, bits), dtype=np.uint32))
+    matrices[:, places, places] = 1
+    falling = places[::-1]  # the highest digit comes first
+    digits = (directions[:, :columns, None] >> falling) & 1
+    scrambled = np.einsum("dpk,jdk->jdp", matrices, digits) & 1
+    own_directions = scrambled @ (1 << falling)
+    for first in itertools.count(1, size):
+        steps = own_directions[_lowest_bit(np.arange(first, first + size))]
+        following = np.bitwise_xor.accumulate(np.vstack([point, steps]), axis=0)
+        yield following[:-1] / 2.0**bits
+        point = following[-1]
+
+
+@lru_cache(maxsize=1)
+def _directions() -> NDArray[np.uint32]:
+    """Return the direction numbers of SciPy's Sobol sequence, uint32 (bits, columns), times 2^bits.
+
+    They are kept in a file, because importing SciPy's Sobol sequence pulls in scipy.stats, which takes as long as a
+    calibration.
+    """
+    directions: NDArray[np.uint32] = np.load(_DIRECTIONS, allow_pickle=False)
+    return directions
+
+
+def _lowest_bit(numbers: Integers) -> Integers:
+    """Return the place, from 0, of the lowest bit that is set in whole numbers > 0."""
+    return np.asarray(np.frexp(numbers & -numbers)[1] - 1)
 
 
 def _column_bounds(robot: Robot, bounds_of: Callable[[UrdfJoint], tuple[float, float]]) -> Array:

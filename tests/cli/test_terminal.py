@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from calib.cli.terminal import say, styled
+from calib.cli.terminal import Pace, say, styled
 from calib.show.lines import fill
 
 TEXT = """Verdict: use with care
@@ -62,8 +62,7 @@ SAY = "import sys; from calib.cli.terminal import say; say(sys.argv[1])"
 
 PROGRESS = """
 from calib.cli.terminal import progress_bar, stages_bar
-with progress_bar("Fitting", quiet=QUIET, first="Choosing the model") as advance:
-    import time; time.sleep(0.3)
+with progress_bar("Fitting", quiet=QUIET) as advance:
     if advance:
         [advance(k, 3) for k in range(4)]
 with stages_bar(quiet=QUIET) as advance:
@@ -110,10 +109,46 @@ def test_elsewhere_the_text_is_printed_as_it_is(capsys):
 @pytest.mark.slow
 def test_a_bar_for_each_stage():
     seen = on_a_terminal(PROGRESS.replace("QUIET", "False"))
-    for what in ("Choosing the model", "Fitting", "Choosing poses", "Forecasting"):
+    for what in ("Fitting", "Choosing poses", "Forecasting"):
         assert what in seen
     assert "100%" in seen
     assert on_a_terminal(PROGRESS.replace("QUIET", "True")) == ""
+
+
+WORKING = """
+import time
+from calib.basics.progress import Stage, begin, counted, trying
+from calib.cli.terminal import work_line
+with work_line(quiet=QUIET):
+    begin(Stage.MODELS); trying("dh"); trying("dh+gain [x]"); time.sleep(0.3)
+    begin(Stage.FOLDS); counted(0, 3); time.sleep(0.2); counted(1, 3); time.sleep(0.3)
+    begin(Stage.VERDICT)
+"""
+
+
+@pytest.mark.slow
+def test_a_line_says_what_is_done():
+    seen = on_a_terminal(WORKING.replace("QUIET", "False"), COLUMNS="100")
+    line = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", seen)
+    for words in ("models", "2: dh+gain [x]", "cross-validation", "0 s left", "residuals and"):
+        assert words in line
+    models, folds = line.split("cross-validation", 1)
+    assert "left" not in models  # the number of models is not known
+    assert "dh+gain" not in folds
+    assert on_a_terminal(WORKING.replace("QUIET", "True")) == ""
+
+
+def test_pace():
+    pace = Pace(100.0)
+    assert pace.left(110.0) is None
+    pace.count(0, 4, 110.0)  # what precedes the first part does not count
+    assert pace.left(111.0) is None
+    pace.count(1, 4, 112.0)
+    assert pace.left(112.0) == 6.0
+    assert pace.left(113.0) == 5.0
+    assert pace.left(120.0) == 0.0
+    pace.count(2, 4, 120.0)
+    assert pace.left(120.0) == 10.0
 
 
 def test_lines_break_at_100_columns_and_not_within_names():

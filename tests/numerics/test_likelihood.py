@@ -123,3 +123,13 @@ def test_a_direction_of_no_more_than_rounding_has_no_inverse():
     regular = np.array([[1.0, 0.6], [0.6, 1.0]])
     np.testing.assert_allclose(pseudo_inverse(regular), np.array([[1.0, -0.6], [-0.6, 1.0]]) / 0.64)
     assert pseudo_inverse(np.zeros((0, 0))).shape == (0, 0)
+
+
+def test_without_some_rows_the_equations_are_those_of_the_others():
+    rng = np.random.default_rng(5)
+    A, y = data_of(rng, 12, (0.1, 0.2), (0.3, 0.1))
+    of_all = linearised(A, y, 2)
+    others = of_all.without(linearised(A[:4], y[:4], 2))
+    expected = linearised(A[4:], y[4:], 2)
+    for name in ("H", "g", "yy", "count"):
+        np.testing.assert_allclose(getattr(others, name), getattr(expected, name), atol=1e-9)

@@ -161,3 +161,22 @@ def test_estimates_stay_at_bounds_beyond_which_the_likelihood_rises():
     score, _ = score_and_information(data, MEMBERS, FLAT, logs)
     assert score[0, 0] < 0.0 < score[0, 1]
     assert score[0, 2] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_likelihood_that_is_only_compared_is_nearly_the_highest():
+    """By less than a hundredth; a family that is not there has vanished all the same."""
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        A, y = data_of(rng, 20, (0.1, 0.2), (0.3, 0.0))
+        data = linearised(A, y, 2)
+        start = np.full((1, 2), 0.2), np.full((1, 2), 0.05)
+        limits = VarianceLimits((1e-6, 1e-6), ((1e-7, 1.0),) * 2)
+        settled = prior_std_by_reml(data, FAMILIES, start, FLAT, limits)
+        nearly = prior_std_by_reml(data, FAMILIES, start, FLAT, limits, only_compared=True)
+        highest, compared = (
+            log_likelihood_at(data, FLAT, tuple(noise[0]), tuple(prior_std[0]))
+            for noise, prior_std in (settled, nearly)
+        )
+        assert compared == pytest.approx(highest, abs=1e-2)
+        if settled[1][0, 1] < 1e-4:
+            assert nearly[1][0, 1] < 1e-4

@@ -183,3 +183,18 @@ def test_scipy_stops_where_its_evaluations_are_used_up():
     solution = SOLVERS["scipy"](exponential, np.zeros(1))
     assert solution.status == "stopped"
     assert solution.evaluations == 100
+
+
+def test_steps_that_a_large_residual_makes_too_short_become_longer():
+    """E = 1/2 (x^2 + y^2 + (c - b x^2)^2) curves by 1 - 2 b c = 0.05 at x = 0, where r + J dx has 1."""
+
+    def system(xy):
+        x, y = xy
+        residual = np.array([x, y - 0.1 * x**2, 9.5 - 0.05 * x**2])
+        return residual, np.array([[1.0, 0.0], [-0.2 * x, 1.0], [-0.1 * x, 0.0]])
+
+    found = levenberg_marquardt(system, np.array([1.0, 2.0]), np.ones(2), 1e-9)
+    np.testing.assert_allclose(found.x, 0.0, atol=1e-7)
+    assert found.status == "converged"
+    assert found.evaluations < 25  # each plain step leaves 95 % of x: some 330
+    assert any(step.accepted and step.gain > 1.9 for step in found.history)

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.boards.board import Board
 from calib.data.measurements import Measurements
+from calib.diagnosis.coverage import FEW_CORNERS
 from calib.diagnosis.reasons import Why
 from calib.result.fewer_corners import with_fewer_corners
 
@@ -45,6 +46,17 @@ def test_pictures_and_corners_are_kept_alike() -> None:
     assert counts.min() >= 13
     assert counts.max() <= 25
     assert np.sum(kept.validation) == 630
+
+
+def test_no_picture_comes_to_show_few_corners() -> None:
+    """Of 21 corners in each of 120 pictures fifteen are kept: fewer would be doubted as if the board was hidden."""
+    whole = table()
+    pictures = tuple(str(k // 21) for k in range(len(whole)))
+    many = replace(whole, images=pictures, sets=("estimate",) * len(whole))
+    kept, (reason,) = with_fewer_corners(many)
+    assert reason.values == {"corners": 2520, "kept": 120 * FEW_CORNERS}
+    counts = np.unique(np.array(kept.images), return_counts=True)[1]
+    assert set(counts.tolist()) == {FEW_CORNERS}
 
 
 def test_usual_tables_stay() -> None:

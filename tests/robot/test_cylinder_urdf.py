@@ -109,7 +109,7 @@ def test_the_urdf_says_what_the_rows_say(convention):
     assert (robot.joints[1].lower, robot.joints[1].upper) == (0.0, 0.4)
     q = np.random.default_rng(1).uniform(-2, 2, (20, 3))
     np.testing.assert_allclose(robot.poses(q), stated.poses(q), rtol=0, atol=1e-12)
-    check_written(robot, stated.poses(q), q, robot)
+    check_written(robot, stated.poses(q), q)
     again = urdf.dh
     assert again is not None
     assert again.table.rows == rows

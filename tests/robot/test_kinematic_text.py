@@ -75,7 +75,7 @@ def test_a_fault_beside_the_kinematics_is_read_over_and_kept(case, capfd):
     np.testing.assert_array_equal(robot.poses(q), plain.poses(q))
     np.testing.assert_allclose(robot.poses(q), by_pinocchio(plain, q), rtol=0, atol=1e-12)
     new = displaced(robot)
-    check_written(new, new.poses(q), q, robot)
+    check_written(new, new.poses(q), q)
     # Whatever was wrong is still there, and no reader's own words were printed.
     assert new.urdf.data.count(b"\n") == text.count("\n")
     assert FAULTS[case][1].encode() in new.urdf.data or "numbers" in case

@@ -9,6 +9,8 @@ from pinocchio import hppfcl
 
 from calib.robot.meshes import (
     KINDS,
+    _binary_stl,
+    _by_trimesh,
     find_mesh,
     link_shapes,
     load_mesh,
@@ -117,6 +119,18 @@ def test_meshes_are_those_that_coal_reads(robot):
         corners = [theirs.tri_indices(i) for i in range(theirs.num_tris)]
         expected = extent(theirs.vertices(), np.array([(c[0], c[1], c[2]) for c in corners]))
         np.testing.assert_allclose(extent(vertices, faces), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_a_binary_stl_is_read_as_trimesh_reads_it(tmp_path):
+    whole = tmp_path / "part.STL"
+    whole.write_bytes(trimesh.creation.icosphere(2).export(file_type="stl"))
+    ours = _binary_stl(whole)
+    assert ours is not None
+    for our, their in zip(ours, _by_trimesh(whole), strict=True):
+        np.testing.assert_array_equal(our, their)
+    assert _binary_stl(whole.rename(tmp_path / "part.obj")) is None
+    (tmp_path / "half.stl").write_bytes((tmp_path / "part.obj").read_bytes()[:-30])
+    assert read_mesh(tmp_path / "half.stl", (1, 1, 1))[0] is None
 
 
 def test_files_that_are_no_meshes(tmp_path):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 from calib import example
 from calib.basics.units import Angle, Length
@@ -17,6 +20,7 @@ from calib.robot.ranges import (
     joint_ranges,
     random_joint_values,
     range_text,
+    scrambled_sobol,
     sobol,
     spread_between,
     spread_poses,
@@ -168,12 +172,11 @@ def test_a_range_is_shown_in_degrees_or_millimetres(leg):
 def test_kept_direction_numbers_are_those_of_scipy():
     kept = np.load(_DIRECTIONS)
     bits, columns = kept.shape
+    np.testing.assert_array_equal(kept, qmc.Sobol(columns, scramble=False, bits=bits)._sv.T)
     # A point whose number has one bit set differs from the one before by that bit's direction number.
-    numbers = 2 ** np.arange(bits)
-    x = (np.vstack([np.zeros(columns), sobol(2 ** (bits - 1), columns)]) * 2**bits).astype(
-        np.uint16
-    )
-    np.testing.assert_array_equal(kept, x[numbers] ^ x[numbers - 1])
+    numbers = 2 ** np.arange(16)
+    x = (np.vstack([np.zeros(columns), sobol(2**15, columns)]) * 2**bits).astype(np.uint32)
+    np.testing.assert_array_equal(kept[:16], x[numbers] ^ x[numbers - 1])
 
 
 @pytest.mark.parametrize(("count", "columns"), [(1, 1), (200, 6), (256, 14), (4096, 7), (300, 33)])
@@ -182,6 +185,22 @@ def test_spread_rows_are_scipys_sequence(count, columns):
     q = spread_between(np.column_stack([low, high]), count)
     np.testing.assert_array_equal(q, low + sobol(count, columns) * (high - low))
     assert not q.flags.writeable
+
+
+@pytest.mark.parametrize(("columns", "size", "blocks"), [(1, 4, 3), (6, 4096, 20), (32, 8, 2)])
+def test_scrambled_points_are_those_of_scipy(columns, size, blocks):
+    parent = np.random.default_rng(5)
+    for scipys, ours in ((5, 5), (parent, np.random.SeedSequence(5).spawn(1)[0])):
+        sequence = qmc.Sobol(columns, scramble=True, seed=scipys)
+        for points in itertools.islice(scrambled_sobol(columns, size, ours), blocks):
+            np.testing.assert_array_equal(points, sequence.random(size))
+
+
+def test_scrambled_points_of_more_columns_than_are_kept():
+    points = next(scrambled_sobol(33, 8, 5))
+    assert points.shape == (8, 33)
+    # One point of each eighth in every column.
+    np.testing.assert_array_equal(np.sort(np.floor(8 * points), axis=0)[:, 32], np.arange(8))
 
 
 # Coupled readings

@@ -219,7 +219,7 @@ def test_the_corrected_urdf_says_what_the_new_robot_says(name):
     )
     np.testing.assert_allclose(again.poses(q), new.poses(q), rtol=0, atol=1e-12)
     np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
-    check_written(new, new.poses(q), q, robot)
+    check_written(new, new.poses(q), q)
     assert np.abs(new.poses(q) - before).max() > 1e-3
     np.testing.assert_array_equal(robot.poses(q), before)
     assert robot.urdf.data == bytes_before

@@ -77,7 +77,7 @@ def test_read_corrected_and_read_again(data: bytes):
     placements[:, :3, :3] = placements[:, :3, :3] @ pin.exp3(1e-2 * rng.normal(size=3))
     moved = robot.with_placements(placements)
     q = random_joint_values(robot, 3)
-    check_written(moved, moved.poses(q), q, robot)
+    check_written(moved, moved.poses(q), q)
     # Without the tags that were written, everything else is as it was, byte for byte.
     tag = re.compile(rb"\s*<origin\s[^>]*>")
 
@@ -97,7 +97,7 @@ def test_a_prefix_that_is_not_declared():
     assert len(read_solids(urdf)[0]) == 1
     robot = Robot.from_urdf(urdf)
     q = random_joint_values(robot, 2)
-    check_written(robot, robot.poses(q), q, robot)
+    check_written(robot, robot.poses(q), q)
 
 
 def test_blanks_before_the_declaration_go_after_it():
@@ -142,11 +142,11 @@ def test_a_verdict_is_replaced_and_read_back():
     assert again.with_comments(run="", verdict=again.verdict) == again
     moved = again.with_origins({"one": np.eye(4)})
     assert moved.verdict == again.verdict
-    # Pinocchio and yourdfpy read it as before.
+    # Pinocchio and calib read it as before.
     robot = Robot.from_urdf(again, "a", "c")
     q = random_joint_values(robot)
     given = Robot.from_urdf(urdf.with_comments(run="", verdict=""), "a", "c")
-    check_written(robot, given.poses(q), q, given)
+    check_written(robot, given.poses(q), q)
 
 
 def test_other_comments_state_no_verdict():

@@ -23,7 +23,7 @@ from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
 from calib.boards.board import APRILGRID, CHARUCO, Board, cells_across, corner_signs
 from calib.boards.corners.planar_map import PlanarMap, fit_planar_map
-from calib.boards.corners.saddles import Saddles, find_saddles
+from calib.boards.corners.saddles import Saddles, find_saddles, saddle_colours
 from calib.boards.opencv import opencv
 from calib.boards.project import in_image
 from calib.errors import CalibError
@@ -194,12 +194,18 @@ class Chessboard(Value):
     is_white_first: bool
 
 
-def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN401  8-bit
+def find_chessboard(
+    image: Any,  # noqa: ANN401  8-bit
+    board: Board,
+    *,
+    quick: bool = False,
+) -> Chessboard | None:
     """Find a plain chessboard in an image, by OpenCV, and the order of its inner corners.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).
         board: A chessboard.
+        quick: True to leave out OpenCV's slower detector, which takes seconds for a chessboard of another size.
 
     Returns:
         The chessboard; None if not all corners are seen, or what OpenCV takes for them are not: of a board with more
@@ -217,7 +223,7 @@ def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN
     size = (board.columns - 1, board.rows - 1)
     factor = 1
     is_seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not is_seen:
+    if not is_seen and not quick:
         # The other detector takes minutes for a large picture that is soft.
         factor = max(1, -(-max(image.shape) // _LARGEST))
         shape = (max(1, image.shape[1] // factor), max(1, image.shape[0] // factor))
@@ -237,18 +243,25 @@ def find_chessboard(image: Any, board: Board) -> Chessboard | None:  # noqa: ANN
     if along_x[0] * along_y[1] - along_x[1] * along_y[0] < 0.0:
         grid = grid[:, ::-1]
     turns = range(4) if board.columns == board.rows else (0, 2)
-    orders = [np.rot90(grid, turn).reshape(-1, 2) for turn in turns]
+    points = board.corners[:, :2]
+    image_size = (image.shape[1], image.shape[0])
 
+    # The colours around a corner are the same after half a turn of the board, and the opposite after a quarter.
+    first_map = fit_planar_map(points, grid.reshape(-1, 2), image_size)
+    windows = windows_at(board, first_map, points)
     grey = np.asarray(image, dtype=float)
+    _, found = saddle_colours(grey, grid.reshape(-1, 2), windows)
+    colours = found.reshape(grid.shape[:2])
     signs = corner_signs(board)
     best = None
-    for ordered in orders:
-        planar_map = fit_planar_map(board.corners[:, :2], ordered, (image.shape[1], image.shape[0]))
-        windows = windows_at(board, planar_map, board.corners[:, :2])
-        agreeing = find_saddles(grey, ordered, windows, signs).exist.sum()
-        opposite = find_saddles(grey, ordered, windows, -signs).exist.sum()
+    for turn in turns:
+        ordered = np.rot90(grid, turn).reshape(-1, 2)
+        turned = (-1) ** turn * np.rot90(colours, turn).reshape(-1)
+        agreeing = np.sum(turned == signs)
+        opposite = np.sum(turned == -signs)
         if min(agreeing, opposite) > _MOST_OPPOSITE * max(agreeing, opposite):
             continue
+        planar_map = fit_planar_map(points, ordered, image_size) if turn else first_map
         is_black_first = bool(agreeing > opposite)
         rightwards = float(windows_at(board, planar_map, board.centre[None, :2])[0, 0, 0])
         score = (is_black_first, rightwards)
@@ -271,16 +284,11 @@ def is_part_of_larger(image: Array, board: Board, planar_map: PlanarMap) -> bool
     y = board.square * np.arange(1, board.rows)
     edges = [np.stack(np.broadcast_arrays(x, edge), axis=1) for edge in (0.0, height)]
     edges += [np.stack(np.broadcast_arrays(edge, y), axis=1) for edge in (0.0, width)]
-    for points in edges:
-        pixels = planar_map.project(points)
-        windows = windows_at(board, planar_map, points)
-        known = np.isfinite(pixels).all(axis=1)
-        signs = np.ones(int(known.sum()))
-        exist = find_saddles(image, pixels[known], windows[known], signs).exist
-        exist |= find_saddles(image, pixels[known], windows[known], -signs).exist
-        if exist.sum() > _MOST_ON_EDGE * len(points):
-            return True
-    return False
+    points = np.concatenate(edges)
+    pixels = planar_map.project(points)
+    _, colours = saddle_colours(image, pixels, windows_at(board, planar_map, points))
+    ends = np.cumsum([len(edge) for edge in edges])[:-1]
+    return any(np.mean(of_edge != 0.0) > _MOST_ON_EDGE for of_edge in np.split(colours, ends))
 
 
 def size_of_chessboard(image: Any) -> tuple[int, int] | None:  # noqa: ANN401  8-bit

@@ -106,27 +106,41 @@ class Saddles(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patch(Value):
-    """The h x w pixels of a window around a corner q."""
+class Patches(Value):
+    """The pixels in windows around n corners q, h x w each: as many as the largest window has."""
 
-    #: Offsets d from q to the pixels, shape (h, w, 2) [px].
-    offsets: Array
-    #: Weights w, 0 outside the window, shape (h, w).
+    #: Offsets d from q to the pixels along u, shape (n, 1, w), and along v, shape (n, h, 1) [px].
+    d_u: Array
+    d_v: Array
+    #: Weights w, 0 outside the window, shape (n, h, w).
     weights: Array
-    #: Central differences g along u and v, shape (h, w, 2).
-    gradients: Array
+    #: Central differences g along u and along v, 0 outside the window, shape (n, h, w) each.
+    g_u: Array
+    g_v: Array
+    #: True for the windows that are inside the image, shape (n,); the weights of others are 0.
+    are_inside: Mask
 
     @property
-    def normal_matrix(self) -> Array:
-        """A = sum_i w_i g_i g_i^T, shape (2, 2)."""
-        g = self.gradients
-        return np.asarray(np.einsum("ij,ijk,ijl->kl", self.weights, g, g))
+    def along(self) -> Array:
+        """The products g . d of each pixel, shape (n, h, w)."""
+        return np.asarray(self.g_u * self.d_u + self.g_v * self.d_v)
 
-    @property
-    def pulls(self) -> Array:
-        """Pull of each pixel on q, g (g . d), shape (h, w, 2)."""
-        along = np.sum(self.gradients * self.offsets, axis=-1, keepdims=True)
-        return np.asarray(self.gradients * along)
+    def normal_matrices(self) -> Array:
+        """Return A = sum_i w_i g_i g_i^T, shape (n, 2, 2)."""
+        by_u, by_v = self.weights * self.g_u, self.weights * self.g_v
+        across = _sums(by_u, self.g_v)
+        entries = [_sums(by_u, self.g_u), across, across, _sums(by_v, self.g_v)]
+        return np.stack(entries, axis=-1).reshape(-1, 2, 2)
+
+    def pulls(self, weights: Array) -> Array:
+        """Return how weighted pixels pull on q, sum_i w_i g_i (g_i . d_i) with weights (n, h, w), shape (n, 2)."""
+        weighted = weights * self.along
+        return np.stack([_sums(weighted, self.g_u), _sums(weighted, self.g_v)], axis=-1)
+
+
+def _sums(first: Array, second: Array) -> Array:
+    """Return the sums over the pixels of the product of two arrays (n, h, w), shape (n,)."""
+    return np.asarray(np.einsum("nij,nij->n", first, second))
 
 
 def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) -> Saddles:
@@ -141,104 +155,137 @@ def find_saddles(image: Array, expected: Array, windows: Array, signs: Array) ->
     Returns:
         n saddles, each near the place expected and surrounded by the colours of four squares; NaN if there is none.
     """
-    pixels = np.full((len(expected), 2), np.nan)
-    sigma = np.full(len(expected), np.nan)
-    for k in range(len(expected)):
-        if not np.isfinite(windows[k]).all():
-            continue
-        # A window that is not too wide along either edge, and nowhere too narrow.
-        lengths = np.sqrt(np.sum(windows[k] ** 2, axis=0))
-        U, singular, Vt = np.linalg.svd(windows[k] * np.minimum(1.0, _WIDEST / lengths))
-        window = U @ np.diag(np.maximum(singular, _NARROWEST)) @ Vt
-
-        q = _converge(image, expected[k], window)
-        if q is None or not _alternates(image, q, window, float(signs[k])):
-            continue
-        pixels[k] = q
-        sigma[k] = uncertainty(image, q, window)
-    return Saddles(pixels, sigma)
+    places, colours = saddle_colours(image, expected, windows)
+    agree = colours == signs
+    sigma = uncertainties(image, places[agree], _limited(windows[agree]))
+    return Saddles(places[agree], sigma).among(len(expected), agree)
 
 
-def _converge(image: Array, expected: Array, window: Array) -> Array | None:
-    """Return the corner (2,) [px] near ``expected`` (2,) where edges in a window (2, 2) [px] meet; None if none do."""
-    q = expected
-    inverse = np.linalg.inv(window)
-    for _ in range(_MAX_STEPS):
-        patch = patch_at(image, q, window)
-        if patch is None:
-            return None
-        A = patch.normal_matrix
-        if np.linalg.det(A) <= _LEAST_DETERMINANT * np.trace(A) ** 2 / 4.0:
-            return None
-        step = np.linalg.solve(A, np.einsum("ij,ijk->k", patch.weights, patch.pulls))
-        q = q + step
-        if np.linalg.norm(inverse @ (q - expected)) > _FURTHEST:
-            return None
-        if np.hypot(*step) < _STILL:
-            return q
-    return None
-
-
-def _alternates(image: Array, q: Array, window: Array, sign: float) -> bool:
-    """Return True if greys around q (2,) [px] alternate as four squares do; sign 1: the one to +x, +y is white.
-
-    The columns of ``window`` (2, 2) [px] are the window along the board's x and y. False at the image's edges.
-    """
-    directions = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
-    places = q + _RADIUS * directions @ window.T
-    inside = (places >= 1.0) & (places <= np.array(image.shape[::-1]) - 3.0)
-    if not inside.all():
-        return False
-    values = interpolate(image, places)[0]
-    pattern = sign * np.sign(np.sin(2.0 * _ANGLES))
-    contrast = 2.0 * float(np.mean(values * pattern))
-    spread = float(np.std(values))
-    return contrast >= _LEAST_CONTRAST and contrast >= 2.0 * _LEAST_CORRELATION * spread
-
-
-def patch_at(image: Array, q: Array, window: Array) -> Patch | None:
-    """Return the pixels in a window around a corner, with their weights and gradients.
+def saddle_colours(image: Array, expected: Array, windows: Array) -> tuple[Array, Array]:
+    """Find the saddle of the grey values next to each expected place, whatever its colours.
 
     Args:
         image: Grey values, shape (height, width).
-        q: The corner, shape (2,) [px].
-        window: Its columns are the window along the board's x and y, shape (2, 2) [px].
+        expected: The places, shape (n, 2) [px].
+        windows: The windows around them, shape (n, 2, 2) [px], as of `find_saddles`; NaN for a place that is not known.
 
     Returns:
-        The pixels; None if the window leaves the image, or q is NaN.
+        Its pixel, shape (n, 2), and 1 if the square towards +x, +y is white, -1 if it is black, 0 if the place is not
+        surrounded by four squares, shape (n,).
     """
-    if not np.isfinite(q).all():
-        return None
-    half = _REACH * np.sqrt(np.sum(window**2, axis=1))
-    low = np.ceil(q - half).astype(int)
-    high = np.floor(q + half).astype(int)
-    height, width = image.shape
-    if (low < 1).any() or high[0] > width - 2 or high[1] > height - 2:
-        return None
-    around = image[low[1] - 1 : high[1] + 2, low[0] - 1 : high[0] + 2]
-    du = 0.5 * (around[1:-1, 2:] - around[1:-1, :-2])
-    dv = 0.5 * (around[2:, 1:-1] - around[:-2, 1:-1])
-    offsets = np.empty((*du.shape, 2))
-    offsets[..., 0] = np.arange(low[0], high[0] + 1) - q[0]
-    offsets[..., 1] = (np.arange(low[1], high[1] + 1) - q[1])[:, None]
-    return Patch(offsets, window_weights(offsets, window), np.stack([du, dv], axis=-1))
+    places = np.full((len(expected), 2), np.nan)
+    colours = np.zeros(len(expected))
+    known = np.isfinite(windows).all(axis=(1, 2)) & np.isfinite(expected).all(axis=1)
+    limited = _limited(windows[known])
+    places[known] = _meeting_points(image, expected[known], limited)
+    colours[known] = _colours(image, places[known], limited)
+    return places, colours
 
 
-def window_weights(offsets: Array, window: Array) -> Array:
+def _limited(windows: Array) -> Array:
+    """Return windows (n, 2, 2) [px] that are not too wide along either edge, and nowhere too narrow."""
+    lengths = np.sqrt(np.sum(windows**2, axis=1, keepdims=True))
+    U, singular, Vt = np.linalg.svd(windows * np.minimum(1.0, _WIDEST / lengths))
+    return np.asarray((U * np.maximum(singular, _NARROWEST)[:, None, :]) @ Vt)
+
+
+def _meeting_points(image: Array, expected: Array, windows: Array) -> Array:
+    """Return where edges in windows (n, 2, 2) [px] near ``expected`` (n, 2) meet, (n, 2) [px]; NaN where none do."""
+    q = expected.copy()
+    found = np.full(q.shape, np.nan)
+    inverse = np.linalg.inv(windows)
+    moving = np.arange(len(q))
+    for _ in range(_MAX_STEPS):
+        patches = patches_at(image, q[moving], windows[moving])
+        A = patches.normal_matrices()
+        traces = np.trace(A, axis1=1, axis2=2)
+        meet = np.linalg.det(A) > _LEAST_DETERMINANT * traces**2 / 4.0
+        moving = moving[meet]
+        if not len(moving):
+            break
+        pulls = patches.pulls(patches.weights)[meet]
+        steps = np.linalg.solve(A[meet], pulls[..., None])[..., 0]
+        q[moving] += steps
+        away = np.einsum("nij,nj->ni", inverse[moving], q[moving] - expected[moving])
+        is_near = np.linalg.norm(away, axis=1) <= _FURTHEST
+        is_still = np.linalg.norm(steps, axis=1) < _STILL
+        ended = moving[is_near & is_still]
+        found[ended] = q[ended]
+        moving = moving[is_near & ~is_still]
+    return found
+
+
+def _colours(image: Array, q: Array, windows: Array) -> Array:
+    """Return 1 or -1, shape (n,), where greys around q (n, 2) [px] alternate as four squares do, otherwise 0.
+
+    It is 1 if the square towards +x, +y is white; the columns of ``windows`` (n, 2, 2) [px] are the window along the
+    board's x and y. It is 0 at the image's edges, and where q is NaN.
+    """
+    result = np.zeros(len(q))
+    directions = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+    places = q[:, None, :] + _RADIUS * np.swapaxes(windows @ directions, 1, 2)
+    highest = np.array(image.shape[::-1]) - 3.0
+    inside = ((places >= 1.0) & (places <= highest)).all(axis=(1, 2))
+    if not inside.any():
+        return result
+    values = interpolate(image, places[inside])[0]
+    contrast = 2.0 * np.mean(values * np.sign(np.sin(2.0 * _ANGLES)), axis=1)
+    least = np.maximum(_LEAST_CONTRAST, 2.0 * _LEAST_CORRELATION * np.std(values, axis=1))
+    result[inside] = np.where(np.abs(contrast) >= least, np.sign(contrast), 0.0)
+    return result
+
+
+def patches_at(image: Array, q: Array, windows: Array) -> Patches:
+    """Return the pixels in windows around corners, with their weights and gradients.
+
+    Args:
+        image: Grey values, shape (height, width).
+        q: The corners, shape (n, 2) [px].
+        windows: Their columns are the window along the board's x and y, shape (n, 2, 2) [px].
+    """
+    half = _REACH * np.sqrt(np.sum(windows**2, axis=2))
+    known = np.where(np.isfinite(q), q, -np.inf)
+    low = np.ceil(known - half)
+    high = np.floor(known + half)
+    limit = np.array(image.shape[::-1]) - 2
+    are_inside = ((low >= 1) & (high <= limit)).all(axis=1)
+    middle = np.where(are_inside[:, None], q, 0.0)
+    low = np.where(are_inside[:, None], low, 1).astype(int)
+    high = np.where(are_inside[:, None], high, 0).astype(int)
+
+    # All windows get as many pixels as the largest; those beyond a window's own have no weight.
+    width, height = (high - low).max(axis=0, initial=0) + 1
+    columns = low[:, :1] + np.arange(width)
+    rows = low[:, 1:] + np.arange(height)
+    d_u = (columns - middle[:, :1])[:, None, :]
+    d_v = (rows - middle[:, 1:])[:, :, None]
+    is_own = (rows <= high[:, 1:])[:, :, None] & (columns <= high[:, :1])[:, None, :]
+    around_u = np.minimum(low[:, :1] - 1 + np.arange(width + 2), image.shape[1] - 1)
+    around_v = np.minimum(low[:, 1:] - 1 + np.arange(height + 2), image.shape[0] - 1)
+    around = image[around_v[:, :, None], around_u[:, None, :]]
+    g_u = 0.5 * (around[:, 1:-1, 2:] - around[:, 1:-1, :-2])
+    g_v = 0.5 * (around[:, 2:, 1:-1] - around[:, :-2, 1:-1])
+    weights = window_weights(d_u, d_v, windows)
+    return Patches(d_u, d_v, is_own * weights, is_own * g_u, is_own * g_v, are_inside)
+
+
+def window_weights(d_u: Array, d_v: Array, windows: Array) -> Array:
     """Return the weights w of pixels.
 
     Args:
-        offsets: From the corner to the pixels, shape (h, w, 2) [px].
-        window: Its columns are the window along the board's x and y, shape (2, 2) [px].
+        d_u: From the corners to the pixels along u, shape (n, 1, w) [px].
+        d_v: Along v, shape (n, h, 1) [px].
+        windows: Their columns are the window along the board's x and y, shape (n, 2, 2) [px].
 
     Returns:
-        Weights from 0 to 1, shape (h, w).
+        Weights from 0 to 1, shape (n, h, w).
     """
-    on_board = (offsets @ np.linalg.inv(window).T) ** 2
-    share_y = on_board[..., 1] / np.maximum(on_board[..., 0] + on_board[..., 1], 1e-12)
-    by_x, by_y = 1.0 / np.sum((_REACH * window) ** 2, axis=0)
-    inverse = by_x + (by_y - by_x) * share_y
-    square = (offsets[..., 0] ** 2 + offsets[..., 1] ** 2) * inverse
+    inverse = np.linalg.inv(windows)[:, :, :, None, None]
+    by_x, by_y = 1.0 / np.sum((_REACH * windows) ** 2, axis=1).T[:, :, None, None]
+    x2 = (inverse[:, 0, 0] * d_u + inverse[:, 0, 1] * d_v) ** 2
+    y2 = (inverse[:, 1, 0] * d_u + inverse[:, 1, 1] * d_v) ** 2
+    share_y = y2 / np.maximum(x2 + y2, 1e-12)
+    square = (d_u**2 + d_v**2) * (by_x + (by_y - by_x) * share_y)
     return np.asarray(np.square(np.square(np.maximum(1.0 - square, 0.0))))
 
 
@@ -247,24 +294,24 @@ def interpolate(image: Array, places: Array) -> tuple[Array, Array]:
 
     Args:
         image: Grey values, shape (height, width).
-        places: Pixels, at least 1 from the first and 2 from the last of each axis, shape (n, 2).
+        places: Pixels, at least 1 from the first and 2 from the last of each axis, shape (..., 2).
 
     Returns:
-        Grey values, shape (n,); and the factor by which the variance of white noise changes, shape (n,).
+        Grey values, shape (...); and the factor by which the variance of white noise changes, shape (...).
     """
     whole = np.floor(places).astype(int)
-    by_u = _keys_weights(places[:, 0] - whole[:, 0])
-    by_v = _keys_weights(places[:, 1] - whole[:, 1])
+    by_u = _keys_weights(places[..., 0] - whole[..., 0])
+    by_v = _keys_weights(places[..., 1] - whole[..., 1])
     steps = np.arange(-1, 3)
-    columns = whole[:, 0, None, None] + steps[None, None, :]
-    rows = whole[:, 1, None, None] + steps[None, :, None]
-    values = np.einsum("nij,ni,nj->n", image[rows, columns], by_v, by_u)
-    gain = np.sum(by_u**2, axis=1) * np.sum(by_v**2, axis=1)
+    columns = whole[..., 0, None, None] + steps[None, :]
+    rows = whole[..., 1, None, None] + steps[:, None]
+    values = np.einsum("...ij,...i,...j->...", image[rows, columns], by_v, by_u)
+    gain = np.sum(by_u**2, axis=-1) * np.sum(by_v**2, axis=-1)
     return values, gain
 
 
 def _keys_weights(t: Array) -> Array:
-    """Return the weights of the four pixels around a place that is t (0 to 1) after the second one, shape (n, 4)."""
+    """Return the weights of the four pixels around places t (...) (0 to 1) after the second one, shape (..., 4)."""
     return 0.5 * np.stack(
         [
             -t + 2.0 * t**2 - t**3,
@@ -272,66 +319,75 @@ def _keys_weights(t: Array) -> Array:
             t + 4.0 * t**2 - 3.0 * t**3,
             -(t**2) + t**3,
         ],
-        axis=1,
+        axis=-1,
     )
 
 
-def uncertainty(image: Array, q: Array, window: Array) -> float:
-    """Return the standard deviation of a corner, the mean of all directions.
+def uncertainties(image: Array, q: Array, windows: Array) -> Array:
+    """Return the standard deviations of corners, the mean of all directions.
 
     Args:
         image: Grey values, shape (height, width).
-        q: The corner, shape (2,) [px].
-        window: The window that it was found with, shape (2, 2) [px].
+        q: The corners, shape (n, 2) [px].
+        windows: The windows that they were found with, shape (n, 2, 2) [px].
 
     Returns:
-        The standard deviation [px]; infinite if the window leaves the image.
+        The standard deviations, shape (n,) [px]; infinite if the window leaves the image.
     """
-    patch = patch_at(image, q, window)
-    if patch is None:
-        return np.inf
-    g = patch.gradients
-    # moments[i, j, k, l] multiplies the l-th difference of the noise at pixel (i, j).
-    moments = g[..., :, None] * patch.offsets[..., None, :]
-    moments = moments + np.sum(g * patch.offsets, axis=-1)[..., None, None] * np.eye(2)
-    moments = patch.weights[..., None, None] * moments
-    padded = np.pad(moments, ((2, 2), (2, 2), (0, 0), (0, 0)))
-    by_u = 0.5 * (padded[1:-1, :-2, :, 0] - padded[1:-1, 2:, :, 0])
-    by_v = 0.5 * (padded[:-2, 1:-1, :, 1] - padded[2:, 1:-1, :, 1])
-    c = by_u + by_v
+    patches = patches_at(image, q, windows)
+    n, h, w = patches.weights.shape
+
+    # c of each pixel: those around the window count too.
+    along = patches.along
+    c = np.zeros((n, 2, h + 2, w + 2))
+    for k, g in enumerate((patches.g_u, patches.g_v)):
+        # Half of what multiplies the differences of the noise along u and along v.
+        by_u = 0.5 * patches.weights * (g * patches.d_u + (k == 0) * along)
+        by_v = 0.5 * patches.weights * (g * patches.d_v + (k == 1) * along)
+        c[:, k, 1:-1, 2:] += by_u
+        c[:, k, 1:-1, :-2] -= by_u
+        c[:, k, 2:, 1:-1] += by_v
+        c[:, k, :-2, 1:-1] -= by_v
 
     # The second term of M: how much more the gradients pull for each pixel that the window moves along u and v.
-    pulls = patch.pulls
     columns = []
-    for axis in np.eye(2):
-        ahead = window_weights(patch.offsets - _MOVE * axis, window)
-        back = window_weights(patch.offsets + _MOVE * axis, window)
-        columns.append(np.einsum("ij,ijk->k", (ahead - back) / (2.0 * _MOVE), pulls))
-    M = patch.normal_matrix - np.stack(columns, axis=-1)
+    for move_u, move_v in _MOVE * np.eye(2):
+        ahead = window_weights(patches.d_u - move_u, patches.d_v - move_v, windows)
+        back = window_weights(patches.d_u + move_u, patches.d_v + move_v, windows)
+        columns.append(patches.pulls((ahead - back) / (2.0 * _MOVE)))
+    M = patches.normal_matrices() - np.stack(columns, axis=-1)
 
+    M[~patches.are_inside] = np.eye(2)
     inverse = np.linalg.inv(M)
-    covariance = inverse @ np.einsum("ijk,ijl->kl", c, c) @ inverse.T
-    variance = _noise(image, q, patch) ** 2 * float(np.trace(covariance)) / 2.0
-    return float(np.sqrt(variance + FLOOR**2))
+    covariance = inverse @ np.einsum("nkij,nlij->nkl", c, c) @ np.swapaxes(inverse, 1, 2)
+    variance = _noise(image, q, patches) ** 2 * np.trace(covariance, axis1=1, axis2=2) / 2.0
+    return np.where(patches.are_inside, np.sqrt(variance + FLOOR**2), np.inf)
 
 
-def _noise(image: Array, q: Array, patch: Patch) -> float:
-    """Return the noise s of grey values in a patch about q (2,) [px], from its difference to its half turn."""
-    used = patch.weights > 0.0
-    offsets = patch.offsets[used]
-    turned = q - offsets
-    size = np.array(image.shape[::-1])
-    kept = ((turned >= 1.0) & (turned <= size - 3.0)).all(axis=1)
-    at_pixels = np.rint(q + offsets[kept]).astype(int)
-    values, gain = interpolate(image, turned[kept])
-    difference = image[at_pixels[:, 1], at_pixels[:, 0]] - values
+def _noise(image: Array, q: Array, patches: Patches) -> Array:
+    """Return the noise s of grey values in patches about q (n, 2) [px], from their difference to their half turn."""
+    offsets = np.stack(np.broadcast_arrays(patches.d_u, patches.d_v), axis=-1)
+    middle = np.where(patches.are_inside[:, None], q, 0.0)[:, None, None, :]
+    highest = np.array(image.shape[::-1]) - 3.0
+    turned = middle - offsets
+    kept = ((turned >= 1.0) & (turned <= highest)).all(axis=-1)
+    at_pixels = np.rint(middle + offsets).astype(int)
+    grey = image[
+        np.clip(at_pixels[..., 1], 0, image.shape[0] - 1),
+        np.clip(at_pixels[..., 0], 0, image.shape[1] - 1),
+    ]
+    values, gain = interpolate(image, np.clip(turned, 1.0, highest))
 
     # Interpolation averages noise: its variance becomes gain times that of a pixel.
-    weights = patch.weights[used][kept]
-    root = np.sqrt(weights / (1.0 + gain))
+    weights = np.where(kept, patches.weights, 0.0)
+    scaled = weights / (1.0 + gain)
+    difference = grey - values
     # Noise also moved q off the middle of the symmetry: what a shift of the picture explains is not noise.
-    gradients = root[:, None] * patch.gradients[used][kept]
-    difference = root * difference
-    shift = np.linalg.lstsq(gradients, difference, rcond=None)[0]
-    residual = difference - gradients @ shift
-    return float(max(np.sqrt(np.sum(residual**2) / np.sum(weights)), _ROUNDING))
+    by_u, by_v = scaled * patches.g_u, scaled * patches.g_v
+    across = _sums(by_u, patches.g_v)
+    A = np.stack([_sums(by_u, patches.g_u), across, across, _sums(by_v, patches.g_v)], axis=-1)
+    b = np.stack([_sums(by_u, difference), _sums(by_v, difference)], axis=-1)
+    shift = (np.linalg.pinv(A.reshape(-1, 2, 2), hermitian=True) @ b[..., None])[:, :, 0, None]
+    residual = difference - shift[:, 0, :, None] * patches.g_u - shift[:, 1, :, None] * patches.g_v
+    mean = _sums(scaled, residual**2) / np.maximum(np.sum(weights, axis=(1, 2)), 1e-12)
+    return np.asarray(np.maximum(np.sqrt(mean), _ROUNDING))

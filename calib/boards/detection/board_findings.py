@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -89,10 +90,13 @@ _FEWEST_PICTURES = 3
 _FEWEST_MORE = 2
 
 #: Number of pictures in which another pattern is sought; a chessboard of another size needs a majority of them.
-_MOST_SEARCHED = 5
+MOST_SEARCHED = 5
 
 #: Fewest different markers of another dictionary that are not an accident.
 _FEWEST_MARKERS = 4
+
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,12 +140,15 @@ def usual_sizes(pictures: Sequence[Picture]) -> dict[str, tuple[int, int]]:
     return {camera: count.most_common(1)[0][0] for camera, count in counts.items()}
 
 
-def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Finding]:
+def board_findings(
+    board: Board, pictures: Sequence[Picture], boards: Sequence[Board] = ()
+) -> Iterator[Finding]:
     """Yield what pictures say against the description of a board.
 
     Args:
         board: The board.
         pictures: The pictures that could be read, with the markers of the board's dictionary.
+        boards: All boards that they may show.
     """
     by_reason: dict[str, list[Picture]] = defaultdict(list)
     by_copy: dict[str, list[Picture]] = defaultdict(list)
@@ -182,6 +189,19 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
         elif wrong:
             yield Finding(code=UNEXPLAINED, board=board.name, pictures=_names(wrong))
 
+    # Markers of the dictionary with the ids of no board.
+    of_others = [other for other in boards if other.marker_kind == board.marker_kind]
+    known = np.concatenate([other.marker_ids for other in (board, *of_others)])
+    strange = [
+        picture
+        for picture in by_reason[NO_BOARD]
+        if len(np.setdiff1d(picture.markers[board.marker_kind].ids, known)) >= _FEWEST_TRIED
+    ]
+    if len(strange) > len(pictures) / 2:
+        code, better = explanation(board, _seen(board, strange)) or (UNEXPLAINED, board)
+        if code == FIRST_MARKER:
+            yield Finding(code=code, board=board.name, pictures=_names(strange), better=better)
+
     # More rows than described, or fewer.
     placed = [picture for picture in pictures if _view(picture, board).visible]
     last = board.first_marker + board.markers
@@ -207,8 +227,18 @@ def board_findings(board: Board, pictures: Sequence[Picture]) -> Iterator[Findin
         yield Finding(code=RATIO, board=board.name, pictures=_names(measured), value=ratio)
 
 
+def spread_over(items: Sequence[Item]) -> list[Item]:
+    """Return `MOST_SEARCHED` items spread evenly over all; all if there are fewer."""
+    places = np.linspace(0, len(items) - 1, min(len(items), MOST_SEARCHED))
+    return [items[int(place)] for place in places]
+
+
 def other_pattern(
-    board: Board, pictures: Sequence[Picture], executor: Executor | None = None
+    board: Board,
+    pictures: Sequence[Picture],
+    executor: Executor | None = None,
+    *,
+    fewest_alike: int = 1,
 ) -> list[Finding]:
     """Find what pictures show instead of a board, if half of them or more show nothing of it.
 
@@ -216,27 +246,22 @@ def other_pattern(
         board: The board.
         pictures: The pictures that could be read.
         executor: Where pictures are searched; None: here.
+        fewest_alike: Fewest pictures that show a chessboard of the same size.
 
     Returns:
         The finding of another dictionary, or of a chessboard of another size; none if neither is seen.
     """
-    # A chessboard with more columns or rows is another one.
-    is_chessboard = board.pattern == CHESSBOARD
-    reasons = (NO_BOARD, LAYOUT, BLURRED, FEW_CORNERS) if is_chessboard else (NO_BOARD,)
-    without = [picture for picture in pictures if _view(picture, board).reason in reasons]
-    if not without or len(without) < len(pictures) / 2:
+    without = pictures_without(board, pictures)
+    if not without:
         return []
-    count = min(len(without), _MOST_SEARCHED)
-    spread = np.linspace(0, len(without) - 1, count).astype(int)
-    files = [without[k].file for k in spread]
-
+    files = [picture.file for picture in spread_over(without)]
     if board.pattern == CHESSBOARD:
         found = [size for _, size in jobs.run(_chessboard_in, None, files, executor)]
         sizes = Counter(size for size in found if size is not None)
         described = (max(board.columns, board.rows), min(board.columns, board.rows))
-        if not sizes or sizes.most_common(1)[0][0] == described:
+        (columns, rows), alike = sizes.most_common(1)[0] if sizes else (described, 0)
+        if (columns, rows) == described or alike < fewest_alike:
             return []
-        columns, rows = sizes.most_common(1)[0][0]
         if board.columns < board.rows:
             columns, rows = rows, columns
         better = replace(board, columns=columns, rows=rows)
@@ -258,6 +283,15 @@ def other_pattern(
     return [
         Finding(code=DICTIONARY, board=board.name, pictures=_names(without), dictionary=dictionary)
     ]
+
+
+def pictures_without(board: Board, pictures: Sequence[Picture]) -> list[Picture]:
+    """Return the pictures that show nothing of a board; none if they are less than half of all."""
+    # A chessboard with more columns or rows is another one.
+    is_chessboard = board.pattern == CHESSBOARD
+    reasons = (NO_BOARD, LAYOUT, BLURRED, FEW_CORNERS) if is_chessboard else (NO_BOARD,)
+    without = [picture for picture in pictures if _view(picture, board).reason in reasons]
+    return without if len(without) >= len(pictures) / 2 else []
 
 
 def _chessboard_in(_: None, file: ImageFile) -> tuple[int, int] | None:

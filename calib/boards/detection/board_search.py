@@ -125,6 +125,7 @@ def search_board(
     fewest: int = FEWEST_CORNERS,
     *,
     grey: Array | None = None,
+    quick: bool = False,
 ) -> BoardView:
     """Search an image for the corners of a board.
 
@@ -134,6 +135,7 @@ def search_board(
         markers: All markers of its dictionary that the image shows; none for a chessboard.
         fewest: Fewest corners with which the image is used.
         grey: The same grey values before they were rounded to 8 bits, shape (height, width); None: those of the image.
+        quick: True to seek a chessboard by OpenCV's quicker detector alone.
 
     Returns:
         The corners, and the reason if they are not used.
@@ -143,7 +145,7 @@ def search_board(
     image_size = (image.shape[1], image.shape[0])
     misread = 0
     if board.pattern == CHESSBOARD:
-        chessboard = find_chessboard(image, board)
+        chessboard = find_chessboard(image, board, quick=quick)
         if chessboard is None:
             return _empty(board, NO_BOARD)
         saddles, planar_map = find_inner_corners(
@@ -241,24 +243,30 @@ def _search_body(grey: Array, board: Board, markers: Markers, fewest: int) -> Bo
     )
 
 
-def reason_of_nothing(image: Any, board: Board) -> str:  # noqa: ANN401  8-bit
+def reason_of_nothing(
+    image: Any,  # noqa: ANN401  8-bit
+    board: Board,
+    *,
+    quick: bool = False,
+) -> str:
     """Return why a board is not found in an image: `MIRRORED`, `FLAT`, `OVEREXPOSED`, `BLURRED` or `NO_BOARD`.
 
     Args:
         image: Grey values, 8 bits, shape (height, width).
         board: The board.
+        quick: As of `search_board`.
     """
     if np.mean(image == np.iinfo(image.dtype).max) > _OVEREXPOSED:
         return OVEREXPOSED
     darkest, brightest = np.quantile(image, [1e-3, 1.0 - 1e-3])
     if brightest - darkest < _LEAST_CONTRAST:
         return FLAT
-    if board.markers and _is_in(np.ascontiguousarray(image[:, ::-1]), board):
+    if board.markers and _is_in(np.ascontiguousarray(image[:, ::-1]), board, quick=quick):
         return MIRRORED
     cv2 = opencv()
     for factor in _SMALLER:
         size = (max(1, image.shape[1] // factor), max(1, image.shape[0] // factor))
-        if _is_in(cv2.resize(image, size, interpolation=cv2.INTER_AREA), board):
+        if _is_in(cv2.resize(image, size, interpolation=cv2.INTER_AREA), board, quick=quick):
             return BLURRED
     return BLURRED if blur_of(image) > _BLURRED else NO_BOARD
 
@@ -291,10 +299,10 @@ def blur_of(image: Any) -> float:  # noqa: ANN401  8-bit
     return float(np.sqrt(max((_FURTHER_BLUR**2 - square) / (square - 1.0), 0.0)))
 
 
-def _is_in(image: Any, board: Board) -> bool:  # noqa: ANN401  8-bit
+def _is_in(image: Any, board: Board, *, quick: bool) -> bool:  # noqa: ANN401  8-bit
     """Return True if a board is found in an image, grey values (h, w), roughly: whether it is there, not where."""
     if board.pattern == CHESSBOARD:
-        return find_chessboard(image, board) is not None
+        return find_chessboard(image, board, quick=quick) is not None
     if board.pattern in ROUND:
         return find_circles(image, board) is not None
     markers = find_markers(image, board.dictionary, border=board.border)

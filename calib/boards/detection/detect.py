@@ -21,11 +21,14 @@ from calib.basics.arguments import (
 from calib.basics.values import Value
 from calib.boards.board import Board
 from calib.boards.detection.board_findings import (
+    MOST_SEARCHED,
     Finding,
     board_findings,
     is_wrong_description,
     other_pattern,
     picture_findings,
+    pictures_without,
+    spread_over,
     usual_sizes,
 )
 from calib.boards.detection.board_search import FEWEST_CORNERS, LAYOUT
@@ -39,6 +42,9 @@ from calib.boards.detection.picture import (
 )
 from calib.boards.dictionaries import kind_of
 from calib.errors import CalibError, choices
+
+#: Most pictures that are all searched at once: with more, some are searched first.
+_MOST_AT_ONCE = 2 * MOST_SEARCHED
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +111,19 @@ def detect(
 
     search = Search(tuple(boards), fewest, single_thread=executor is not None)
     by_number: dict[int, Picture] = {}
-    for number, picture in jobs.run(search_picture, search, files, executor):
-        by_number[number] = picture
+    other_prints: dict[str, list[Finding]] = {}
+    if len(files) > _MOST_AT_ONCE:
+        # Some are searched first: what they show instead of a board need not be sought in every copy of the others.
+        numbers = spread_over(range(len(files)))
+        quick = replace(search, quick=tuple(board.name for board in boards))
+        first = dict(jobs.run(search_picture, quick, [files[k] for k in numbers], executor))
+        other_prints = _other_prints(boards, list(first.values()), executor)
+        search = replace(search, quick=tuple(other_prints))
+        by_number = {numbers[k]: first[k] for k in first if _is_complete(first[k])}
+    remaining = [number for number in range(len(files)) if number not in by_number]
+    found = jobs.run(search_picture, search, [files[number] for number in remaining], executor)
+    for place, picture in found:
+        by_number[remaining[place]] = picture
         if progress is not None:
             progress(len(by_number), len(files))
     pictures = [by_number[number] for number in range(len(files))]
@@ -118,7 +135,12 @@ def detect(
     findings = list(picture_findings(pictures))
     readable = [picture for picture in pictures if not picture.reason]
     for board in boards:
-        of_board = [*board_findings(board, readable), *other_pattern(board, readable, executor)]
+        of_board = list(board_findings(board, readable, boards))
+        if board.name not in other_prints:
+            of_board += other_pattern(board, readable, executor)
+        elif without := pictures_without(board, readable):
+            names = tuple(picture.file.name for picture in without)
+            of_board += [replace(known, pictures=names) for known in other_prints[board.name]]
         findings += of_board
         if any(is_wrong_description(finding, readable, board) for finding in of_board):
             # The board is described wrongly: its corners are used in no picture.
@@ -129,6 +151,34 @@ def detect(
                     views.append(replace(view, reason=LAYOUT) if is_wrong else view)
                 pictures[k] = replace(picture, views=tuple(views))
     return Detection(tuple(boards), tuple(pictures), tuple(findings), fewest)
+
+
+def _other_prints(
+    boards: Sequence[Board], pictures: Sequence[Picture], executor: Executor | None
+) -> dict[str, list[Finding]]:
+    """Return the boards, by name, of which no picture shows a corner, and most another print; with what that is.
+
+    Markers with other ids need no finding here: `board_findings` sees them in all pictures.
+    """
+    readable = [picture for picture in pictures if not picture.reason]
+    result = {}
+    for board in boards:
+        views = [view for picture in readable for view in picture.views if view.board == board.name]
+        if any(view.is_used for view in views):
+            continue
+        most = len(pictures) // 2 + 1
+        other_ids = list(board_findings(board, readable, boards))
+        others = []
+        if not other_ids:
+            others = other_pattern(board, readable, executor, fewest_alike=most)
+        if any(is_wrong_description(one, readable, board) for one in (*other_ids, *others)):
+            result[board.name] = others
+    return result
+
+
+def _is_complete(picture: Picture) -> bool:
+    """Return True if a picture shows all that it can of every board, so that no other search finds more."""
+    return bool(picture.views) and all(view.is_used and view.is_complete for view in picture.views)
 
 
 def check_boards(boards: Sequence[Board]) -> None:

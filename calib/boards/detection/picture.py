@@ -199,6 +199,8 @@ class Search(Value):
     fewest: int
     #: True if OpenCV uses one thread, as beside other processes.
     single_thread: bool = False
+    #: Names of boards that are sought in the picture as it is, quickly, and in no copy of it.
+    quick: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -271,19 +273,23 @@ def search_image(search: Search, copy: Copy) -> tuple[dict[str, Markers], list[B
         The markers in the picture by their `Board.marker_kind`, and what it shows of each board.
     """
     markers, views = _search(search, copy, thorough=False)
-    has_markers = any(board.markers for board in search.boards)
+    has_markers = any(board.markers and board.name not in search.quick for board in search.boards)
     if has_markers and not all(view.is_used and view.is_complete for view in views):
         markers, views = _search(search, copy, thorough=True)
     is_seen = any(view.is_used for view in views)
     for other in further_copies(copy, is_seen=is_seen, has_markers=has_markers):
-        if not any(view.reason in _MAY_BE_BETTER or not view.is_complete for view in views):
+        sought = [view for view in views if view.board not in search.quick]
+        if not any(view.reason in _MAY_BE_BETTER or not view.is_complete for view in sought):
             break
         further, found = _search(search, other, thorough=True)
         if _corner_count(found) > _corner_count(views):
             markers, views = further, found
     if all(view.reason == NO_BOARD for view in views):
         views = [
-            replace(view, reason=reason_of_nothing(copy.image, board))
+            replace(
+                view,
+                reason=reason_of_nothing(copy.image, board, quick=board.name in search.quick),
+            )
             for view, board in zip(views, search.boards, strict=True)
         ]
     return markers, views
@@ -312,7 +318,8 @@ def _search(
                     border=board.border,
                 )
             of_board = markers[board.marker_kind]
-        view = search_board(copy.image, board, of_board, search.fewest, grey=copy.grey)
+        quick = board.name in search.quick
+        view = search_board(copy.image, board, of_board, search.fewest, grey=copy.grey, quick=quick)
         views.append(
             replace(
                 view,

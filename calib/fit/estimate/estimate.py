@@ -42,7 +42,7 @@ class Estimate(Value):
     x: Array
     #: The problem in its last form: weights, scales and prior precision as estimated
     problem: Problem
-    #: The solver's: all stages one after the other
+    #: The solver's: all stages one after the other; of a fit that is only compared where it was linearised last
     solution: Solution
     #: (p, p), of x
     covariance: Array
@@ -110,6 +110,7 @@ def estimate_at_stage(
     stage: Stage,
     solution: Solution,
     covariance_factor: float = 1.0,
+    like: Estimate | None = None,
 ) -> Estimate:
     """Make the estimate from the last stage of a fit and the solution of its problem.
 
@@ -119,6 +120,8 @@ def estimate_at_stage(
         solution: The solver's result at this stage.
         covariance_factor: Covariance of the solver's estimator over that of least squares, which multiplies the
             variance of the noise, not that of the priors; 1 for least squares.
+        like: Estimate of another model, whose scores this one has, and with which it is only compared: it has the
+            solution of the linearised problem then, with traces of priors; None: neither.
 
     Returns:
         The estimate. Its x differs from the solution's if a parameter is a mere trace of its prior, which becomes 0
@@ -126,10 +129,14 @@ def estimate_at_stage(
     """
     linear, prior, priors = problem.linear(solution.x), stage.prior, stage.priors
     has_priors = prior.source != "off"
-    _, covariance_for_scores, freedom = stage.scoring_fit(linear)
-    scores = linear.scores(solution.x[None], covariance_for_scores, stage.effective, stage.noise)
-    flag_limit = Limits.of(len(problem.rows), freedom[0]).flagged
-    if linear.stops is not None:
+    means, covariance_for_scores, freedom = stage.scoring_fit(linear)
+    if like is None:
+        x = solution.x
+        scores = linear.scores(x[None], covariance_for_scores, stage.effective, stage.noise)
+        flag_limit = Limits.of(len(problem.rows), freedom[0]).flagged
+    else:
+        (x,), scores, flag_limit = means, like.scores[None], np.asarray(like.flag_limit)
+    if like is None and linear.stops is not None:
         excess = stage.stop_excess(linear, solution.x[None])
         thrown = linear.stops.weights_of_stops(stage.effective) == 0.0
         of_stops = np.where(thrown, excess * flag_limit, 0.0)[:, linear.stops.stop_of_row]
@@ -144,8 +151,8 @@ def estimate_at_stage(
     family_precision = np.where(prior.flat, 0.0, priors.precision)
     log_likelihood = equations.log_likelihood(stage.noise, priors, family_precision)
 
-    x = solution.x.copy()
-    if has_priors:  # without, nothing keeps small what the target can replace: there are no traces
+    x = x.copy()
+    if has_priors and like is None:  # without, nothing keeps small what the target can replace
         x = _without_traces(problem, linear, covariance)
     if prior.source == "data" and hands_alone(problem.rows.present, problem.kinematics.robot):
         covariance = covariance + _by_typical_errors(problem, stage, covariances[0])
@@ -155,7 +162,7 @@ def estimate_at_stage(
     return Estimate(
         x=read_only(x),
         problem=problem_at_stage(problem, stage),
-        solution=replace(solution, x=read_only(x)),
+        solution=replace(solution, x=read_only(x)) if like is None else solution,
         covariance=read_only(covariance),
         scores=read_only(scores[0]),
         flag_limit=float(flag_limit),

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.jobs import one_blas_thread
+from calib.basics.progress import trying
 from calib.basics.values import Value
 from calib.errors import MeasurementError, ModelError
 from calib.fit.estimate.estimate import Estimate
@@ -176,6 +177,7 @@ def fit(
     registered: Setup | None = None,
     reference: Fitted | None = None,
     near: Sequence[Fitted] = (),
+    only_compared: bool = False,
 ) -> Fitted:
     """Register frames and targets on the nominal robot, and estimate all parameters from there.
 
@@ -188,6 +190,8 @@ def fit(
             None to estimate the weights.
         near: Fits from the same registered frames and targets, whose parameters are where this one begins, those of
             the first that has one of the name; empty to begin at the means of the priors.
+        only_compared: True for a candidate, whose evidence alone counts beside that of others: it is solved only as far
+            as that needs. The first fit near has the weights of the reference too.
 
     Returns:
         The registered frames and targets, and the estimate from there.
@@ -208,6 +212,7 @@ def fit(
         registered = reference.setup
     task.check_solver()
     model = task.error_model()
+    trying(model.name)
     if task.cell.priors.source == "off" and rows.count < len(model):
         raise MeasurementError(
             f"{rows.count} numbers for {len(model)} parameters, and priors are off. Measure more poses, or choose a "
@@ -236,7 +241,13 @@ def fit(
                 known.update(zip(names, fitted.estimate.x.tolist(), strict=True))
             means = zip(model.names, prior.mean.tolist(), strict=True)
             start = np.array([known.get(name, mean) for name, mean in means])
-        estimate = estimate_within_bounds(problem, task, prior, start)
+        beside = near[0].estimate if only_compared else None
+        # What targets of a stop share is a trait of the robot, and much the same under other models.
+        alike = next(iter((*filter(None, [reference]), *near)), None)
+        shares = None
+        if alike is not None and problem.stops is not None:
+            shares = alike.estimate.problem.stop_shares
+        estimate = estimate_within_bounds(problem, task, prior, start, beside, shares)
         estimate = settle_pose_noise(estimate, problem, task, prior)
     else:
         estimate = paper_estimate(problem, task, registered)

@@ -194,7 +194,9 @@ class LinearProblem(Value):
             same_shares = (
                 np.array_equal(of_shares, stop_shares) if shares_count else not np.any(of_shares)
             )
-            if same_shares and np.array_equal(of_weights, weights):
+            if not same_shares:
+                continue
+            if np.array_equal(of_weights, weights):
                 return sums
             if same_shares and not shares_count and len(of_weights) == len(weights) == 1:
                 # Of weights that are all multiplied by one factor, sums are too.

@@ -34,6 +34,9 @@ _FINE = 1e-9
 #: squared are a quarter of the rough tolerance, so that the next linearisation confirms nearly all.
 _CLOSE = 5.0
 
+#: Message of the solution of a fit that is only compared with others.
+_COMPARED = "Solved as far as the comparison of models needs it."
+
 #: Of more rows a part of so many, thirty times those that a model of hundreds of parameters needs, leads to a start
 #: from where all of them hardly move.
 _MANY = 10_000
@@ -48,13 +51,17 @@ _ROUNDS = 3
 class StageSolver:
     """Follows the solution of a problem from stage to stage; each solve begins where the last one stopped."""
 
-    def __init__(self, problem: Problem, task: Task, start: Array) -> None:
+    def __init__(
+        self, problem: Problem, task: Task, start: Array, *, near_solution: bool = False
+    ) -> None:
         """Begin at some parameters.
 
         Args:
             problem: The least-squares problem, whose weights, noise and priors each stage sets.
             task: The fit, of which the solver alone counts; if it is a name, it must be one of `SOLVERS`.
             start: shape (p,), parameters where the first solve begins [m, rad, ...].
+            near_solution: Whether they are those of a similar fit: the problem linearised there then comes before any
+                solve.
         """
         self._problem = problem
         self._solver = task.solver if callable(task.solver) else SOLVERS[str(task.solver)]
@@ -62,7 +69,9 @@ class StageSolver:
         self._of_images = bool(np.any(problem.rows.has_views))
         self._x: Array = start.copy()
         self._solution: Solution | None = None  # Of all solves so far
-        self._linear: LinearProblem | None = None  # At the solution of the last stage
+        # At the solution of the last stage
+        self._linear: LinearProblem | None = problem.linear(start) if near_solution else None
+        self._close = np.inf if near_solution else _CLOSE
 
     def solve(self, stage: Stage, tolerance: float) -> Solution:
         """Solve the problem with the weights, noise and priors of a stage, from where the last solve stopped.
@@ -100,6 +109,11 @@ class StageSolver:
         self._x = solution.x
         return solution
 
+    @property
+    def x(self) -> Array:
+        """Parameters at which the problem was linearised or solved last, shape (p,)."""
+        return self._x
+
     def linear_at_start(self) -> LinearProblem:
         """Return the problem linearised where the first solve would begin, as near its solution."""
         self._linear = self._problem.linear(self._x)
@@ -123,8 +137,8 @@ class StageSolver:
             x, moved = step_to_solution(self._linear, self._x)
             if moved <= _ROUGH:  # the linearisation is off by its square: by 1e-8 m and rad
                 return self._linear
-            if moved <= _CLOSE:
-                # A step as short as this needs no damping, if the next one confirms it.
+            if moved <= self._close:
+                # A step as short as this, or from a similar fit, needs no damping, if the next one confirms it.
                 linear = self._problem.linear(x)
                 _, further = step_to_solution(linear, x)
                 if further <= _ROUGH:
@@ -143,7 +157,12 @@ class StageSolver:
 
 
 def estimate_with_priors(
-    problem: Problem, task: Task, prior: PriorTerms, start: Array | None = None
+    problem: Problem,
+    task: Task,
+    prior: PriorTerms,
+    start: Array | None = None,
+    near: Estimate | None = None,
+    stop_shares: Array | None = None,
 ) -> Estimate:
     """Estimate the parameters, weights, noise and prior standard deviations, without regard to bounds.
 
@@ -153,6 +172,10 @@ def estimate_with_priors(
         prior: Priors, at whose means the first solve begins; parameters that are held at a bound have a narrow one. Its
             source says whether their standard deviations are estimated or kept.
         start: shape (p,), parameters where the first solve begins instead; None: there.
+        near: Estimate of another model of the same rows, with the same weights, with which this one is only compared:
+            the solution is as exact as stages need it, and begins near. The restricted likelihood is then that of the
+            optimum but for the square of this.
+        stop_shares: shape (C, 3), what the targets of a stop have in common, to begin with; None: nothing.
 
     Returns:
         The estimate, by all rows.
@@ -165,10 +188,14 @@ def estimate_with_priors(
     begin = prior.mean if start is None else start
     some = rows.evenly(_MANY)
     if np.all(some) or rows.weights is not None or problem.stops is not None:
-        solver = StageSolver(problem, task, begin)
+        solver = StageSolver(problem, task, begin, near_solution=near is not None)
         every_row = np.ones((1, len(rows)), dtype=bool)
         first = Stage.initial(prior, every_row, len(problem.smallest_noise), weighting.start)
-        stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting)
+        if stop_shares is not None:
+            first = replace(first, stop_shares=stop_shares[None])
+        stage, _ = run_stages(
+            first, solver.linear_at, rows.poses, weighting, only_compared=near is not None
+        )
     else:
         # Some of the rows lead to where all of them are near their solution: two or three passes find it.
         part = problem.select(some)
@@ -180,12 +207,19 @@ def estimate_with_priors(
         solver = StageSolver(problem, task, x[0])
         first = stage.of_all_rows(solver.linear_at_start(), covariance, robust=weighting.robust)
         stage, _ = run_stages(first, solver.linear_at, rows.poses, weighting, near=True)
-    solution = solver.solve(stage, _FINE)
-    return estimate_at_stage(problem, stage, solution)
+    if near is None:
+        return estimate_at_stage(problem, stage, solver.solve(stage, _FINE))
+    solution = Solution(solver.x, np.nan, "converged", _COMPARED, 0, ())
+    return estimate_at_stage(problem, stage, solution, like=near)
 
 
 def estimate_within_bounds(
-    problem: Problem, task: Task, prior: PriorTerms, start: Array | None = None
+    problem: Problem,
+    task: Task,
+    prior: PriorTerms,
+    start: Array | None = None,
+    near: Estimate | None = None,
+    stop_shares: Array | None = None,
 ) -> Estimate:
     """Estimate the parameters within their bounds, by an active set.
 
@@ -198,6 +232,8 @@ def estimate_within_bounds(
         task: The fit.
         prior: Priors and bounds of the p parameters, none of them held.
         start: shape (p,), parameters where the first solve begins; None: at the means of the priors.
+        near: See `estimate_with_priors`.
+        stop_shares: shape (C, 3), what the targets of a stop have in common, to begin with; None: nothing.
 
     Returns:
         The last estimate, with the indices of the parameters that are held at a bound.
@@ -206,9 +242,10 @@ def estimate_within_bounds(
         SolverError: The residual is not finite at the start.
     """
     low, high = prior.limits.T
+    again = None if near is None else start
     fixed: dict[int, float] = {}
     released: set[int] = set()
-    estimate = estimate_with_priors(problem, task, prior, start)
+    estimate = estimate_with_priors(problem, task, prior, start, near, stop_shares)
     for _ in range(_ROUNDS * problem.size):
         is_beyond = (estimate.x < low) | (estimate.x > high)
         beyond = np.flatnonzero(is_beyond).tolist()
@@ -222,7 +259,8 @@ def estimate_within_bounds(
         for k in to_release:
             del fixed[k]
         released |= to_release
-        estimate = estimate_with_priors(problem, task, prior.at_bounds(fixed))
+        held = prior.at_bounds(fixed)
+        estimate = estimate_with_priors(problem, task, held, again, near, stop_shares)
     return estimate
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers, Mask
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
-from calib.fit.estimate.special_cases.stop_shares import PARTS
+from calib.fit.estimate.special_cases.stop_shares import PARTS, extrapolated
 from calib.fit.registration.rows import Rows
 from calib.model.families import FAMILIES
 from calib.numerics.likelihood import GaussianPriors
@@ -253,7 +253,12 @@ class Stage:
         return noise
 
     def by_likelihood(
-        self, linear: LinearProblem, robust: bool, rounds: int = _LIKELIHOOD_ROUNDS
+        self,
+        linear: LinearProblem,
+        robust: bool,
+        rounds: int = _LIKELIHOOD_ROUNDS,
+        *,
+        only_compared: bool = False,
     ) -> Stage:
         """Return the stage with noise and prior standard deviations of the highest restricted likelihood.
 
@@ -265,6 +270,7 @@ class Stage:
             robust: Whether to give the rows the weights that follow from their scores first; then weights and
                 likelihood are computed in turn.
             rounds: How often, if so.
+            only_compared: Whether the likelihood is only compared with that of other models.
         """
         prior = self.prior
         stage = self
@@ -281,7 +287,12 @@ class Stage:
                 start = (stage.noise, stage.prior_std)
                 besides_families = GaussianPriors(prior.precision, prior.mean)
                 noise, prior_std = prior_std_by_reml(
-                    equations, prior.families, start, besides_families, limits
+                    equations,
+                    prior.families,
+                    start,
+                    besides_families,
+                    limits,
+                    only_compared=only_compared,
                 )
                 stage = replace(stage, noise=noise, prior_std=prior_std)
             else:
@@ -465,6 +476,7 @@ def run_stages(
     poses: Integers,
     weighting: Weighting,
     *,
+    only_compared: bool = False,
     near: bool = False,
 ) -> tuple[Stage, Array]:
     """Estimate weights, noise and prior standard deviations of B fits, until they settle.
@@ -474,6 +486,8 @@ def run_stages(
         linear_at: Maps a stage to the problem linearised at its solution; B fits share one linearisation.
         poses: shape (N,), rows of one number are repeats.
         weighting: Treatment of repeats and outliers.
+        only_compared: Whether the likelihood of the last stage is only compared with that of other models: a stage that
+            is linearised where the last one was then has settled.
         near: Whether the first stage is near the last one, as that of some of the rows is: it needs no robust start.
 
     Returns:
@@ -491,27 +505,39 @@ def run_stages(
     ) -> tuple[Stage, LinearProblem]:
         """Repeat stages of one kind until the fits settle; return the last one, and the problem at its solution."""
         moving = np.arange(len(stage.kept))  # the fits that have not settled
+        last = None  # shares that the last round began with, and those it came to
         for _ in range(_ROUNDS):
             before = stage.select(moving)
             if by_likelihood:
                 # A round is a pass over all rows, of which there are many if the start is near.
-                rounds = 1 if near else _LIKELIHOOD_ROUNDS
-                after = before.by_likelihood(linear, robust, rounds)
+                times = 1 if near else _LIKELIHOOD_ROUNDS
+                after = before.by_likelihood(linear, robust, times, only_compared=only_compared)
                 after = after.by_repeats(linear, poses, weighting.repeats).by_stops(linear)
                 if weighting.along_path:
                     after = after.by_neighbours(linear)
             else:
                 after = before.by_median(linear)
                 after = after.by_repeats(linear, poses, weighting.repeats)
-            linear = linear_at(after)
-            stage = stage.updated(moving, after)
             settled = _has_settled(before, after, weights_only=not by_likelihood)
+            rounds = (before.stop_shares, after.stop_shares)
+            if last is not None:
+                after = replace(after, stop_shares=extrapolated(last, rounds))
+            last = (rounds[0][~settled], rounds[1][~settled])
+            linear, begun_at = linear_at(after), linear
+            stage = stage.updated(moving, after)
+            if only_compared and linear is begun_at and linear.stops is None:
+                break
             moving = moving[~settled]
             if not len(moving):
                 break
         return stage, linear
 
+    # Medians are of scalars that are independent.
+    shares = stage.stop_shares
+    stage = replace(stage, stop_shares=np.zeros(shares.shape))
     for by_likelihood in by_likelihood_in_turn:
+        if by_likelihood:
+            stage = replace(stage, stop_shares=shares)
         stage, linear = settle(stage, linear, by_likelihood)
     if not robust or linear.stops is None:
         return stage, freedom

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from calib.basics.arrays import Array, Integers
@@ -26,6 +24,10 @@ def joined_labels(labels: Integers, pairs: Sequence[tuple[int, int]]) -> Integer
         shape (N,), merged labels, numbered from 0 in the order of the smallest label of each.
     """
     if len(pairs):
+        # Imported late, as few tables have any.
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
         count = int(labels.max()) + 1
         first, second = labels[np.array(pairs)].T
         entries = np.ones(len(first))

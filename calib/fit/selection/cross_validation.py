@@ -19,6 +19,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.jobs import Progress
+from calib.basics.progress import counted
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.linear import LinearProblem
 from calib.fit.estimate.prior_terms import PriorTerms
@@ -33,7 +34,7 @@ from calib.fit.selection.folds import (
     seen_only_by,
 )
 from calib.numerics.errors import CrossValidation
-from calib.numerics.likelihood import GaussianPriors
+from calib.numerics.likelihood import GaussianPriors, diagonals
 
 #: The linear problem is accurate if its residuals differ from the robot's by less than this share of the noise, rms.
 _LINEAR = 1e-3
@@ -52,6 +53,9 @@ _SMALL_SHARE = 0.15
 
 #: Steps that such a fold may take if the problem is not linear as far as it moves: each is far shorter than the last.
 _STEPS_OF_MANY = 6
+
+#: A fold that leaves the others less than this share of a direction determines it nearly alone.
+_LEFT_TO_OTHERS = 1e-4
 
 #: Rows of all folds together that are fitted at a time, for they are held in memory.
 _AT_A_TIME = 4096
@@ -81,9 +85,13 @@ def cross_validation(
     folds = Folds.of_task(fitted.task, rows)
     by_linear_problem = held_out_residuals_linear(fitted, folds.masks, outliers)
     residuals = []
+    refits = 0
+    to_refit = len(folds.masks) - len(by_linear_problem)
     for k, mask in enumerate(folds.masks):
         residual = by_linear_problem.get(k)
         if residual is None:
+            counted(refits, to_refit)
+            refits += 1
             without_fold = fit(fitted.task, rows.select(~mask))
             residual = held_out_residual(without_fold, rows, mask, outliers)
         residuals.append(residual)
@@ -143,10 +151,10 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     rows = problem.rows
     if outliers is None:
         outliers = estimate.outliers
-    linear = problem.linear(estimate.x)
+    linear = problem.linear(estimate.solution.x)
     folds = Folds.of_task(fitted.task, rows)
     means = fold_posterior_means(fitted, linear, folds.masks)
-    residuals = []
+    standardised = np.zeros(rows.used.shape)
     for mask, x in zip(folds.masks, means, strict=True):
         part = linear.select(mask)
         unseen = seen_only_by(fitted, mask)
@@ -157,17 +165,10 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
             by_others = part.residual(np.where(unseen, 0.0, x))[part.used]
             columns = part.A[part.used][:, unseen]
             weighted_columns = columns * root[:, None]
-            solution, *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
-            x = x.copy()
-            x[unseen] = solution
-
-        standardised = part.residual(x)
-        held_out_rows = rows.select(mask)
-        # As wide as the table, which may have wider rows than these.
-        residual = np.zeros(standardised.shape)
-        width = held_out_rows.width
-        residual[:, :width] = held_out_rows.in_units(standardised[:, :width])
-        residuals.append(residual)
+            x[unseen], *_ = np.linalg.lstsq(weighted_columns, by_others * root, rcond=1e-9)
+        standardised[mask] = part.residual(x)
+    residual = rows.in_units(standardised)
+    residuals = [residual[mask] for mask in folds.masks]
     return folds.join(rows, residuals, outliers)
 
 
@@ -185,11 +186,41 @@ def fold_posterior_means(
         Offsets from the registered start like ``fitted.estimate.x``, shape (F, p).
     """
     problem = fitted.estimate.problem
-    weights = np.where(np.array(masks), 0.0, problem.weights)
-    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
+    masks = np.array(masks)
+    noise = np.array([fitted.estimate.noise])
     priors = GaussianPriors(problem.prior_precision, problem.prior_mean)
-    x, _, _ = linear.fit(weights, problem.stop_shares, noise, priors)
-    return np.asarray(x)
+    if np.any(problem.stop_shares):
+        weights = np.where(masks, 0.0, problem.weights)
+        x, _, _ = linear.fit(weights, problem.stop_shares, np.tile(noise, (len(masks), 1)), priors)
+        return np.asarray(x)
+
+    of_all = linear.normal_equations(problem.weights[None], problem.stop_shares)
+    (mean,), (covariance,) = of_all.posterior(noise, priors)
+    means = np.empty((len(masks), len(mean)))
+    is_small = np.sum(masks, axis=1) * linear.used.shape[1] < len(mean)
+    if np.any(is_small):  # then few rows are to be whitened
+        whiten = np.sqrt(problem.weights)[:, None] / linear.noise_by_scalar(noise)[0]
+        A = linear.A * whiten[:, :, None]
+        AC = A @ covariance
+        r = linear.residual(mean) * whiten
+    for k, mask in enumerate(masks):
+        if is_small[k]:
+            # With the whitened rows of the fold, x = x_all - C A^T (1 - A C A^T)^-1 r.
+            A_fold, AC_fold = (M[mask].reshape(-1, len(mean)) for M in (A, AC))
+            left = np.eye(len(A_fold)) - AC_fold @ A_fold.T
+            if np.linalg.eigvalsh(left)[0] > _LEFT_TO_OTHERS:
+                means[k] = mean - np.linalg.solve(left, r[mask].ravel()) @ AC_fold
+                continue
+        fold = linear.select(mask)
+        of_fold = fold.normal_equations(problem.weights[None, mask], problem.stop_shares)
+        of_others = of_all.without(of_fold)
+        if np.any(diagonals(of_others.H[0]) < _LEFT_TO_OTHERS * diagonals(of_all.H[0])):
+            # What only the fold sees must not be left with its rounding.
+            of_others = linear.normal_equations(
+                np.where(mask, 0.0, problem.weights)[None], problem.stop_shares
+            )
+        (means[k],), _ = of_others.posterior(noise, priors)
+    return means
 
 
 def held_out_residuals_linear(
@@ -228,19 +259,18 @@ def held_out_residuals_linear(
         k = numbers[i]
         mask, x = masks[k], estimates[i]
         steps = _STEPS_OF_MANY if _hardly_changes(fitted, held_out) else 0
-        linear_there = linear
-        while not _is_linear(fitted, linear_there, x, mask) and steps:
+        is_linear, residual = _compared(fitted, linear, x, mask)
+        while not is_linear and steps:
             # At the weights of the fit to all rows a fold takes few more steps, each on the problem linearised anew.
             linear_there = estimate.problem.linear(x)
             x = fold_posterior_means(fitted, linear_there, mask[None])[0]
+            is_linear, residual = _compared(fitted, linear_there, x, mask)
             steps -= 1
         within = np.all((x >= low) & (x <= high))
-        if not within or not _is_linear(fitted, linear_there, x, mask):
+        if not within or not is_linear:
             continue
 
-        held_out_rows = rows.select(mask)
-        seen = fitted.kinematics.sightings(x, held_out_rows.samples)
-        residuals[k] = held_out_rows.residual(seen)
+        residuals[k] = residual
         if np.any(seen_only_by(fitted, mask)):
             # Frames and targets that only the fold sees are registered to its rows.
             without_fold = replace(fitted, estimate=replace(estimate, x=x))
@@ -248,22 +278,27 @@ def held_out_residuals_linear(
     return residuals
 
 
-def _is_linear(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> bool:
-    """Return whether a linear problem predicts what the robot itself does with parameters x, (p,), at the kept rows.
+def _compared(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> tuple[bool, Array]:
+    """Return whether a linear problem predicts what the robot does with parameters x, (p,); and the fold's residual.
 
-    Kept are the rows with a weight outside of the fold, a mask (N,).
+    The latter is by the robot itself at the rows of the fold, a mask (N,). Compared are the others with a weight, of
+    many rows some.
     """
     problem = fitted.estimate.problem
     counts = ~mask & (fitted.estimate.weights > 0.0)
     some = problem.rows.evenly(ENOUGH)  # for one mean
     rows = problem.rows.select(some)
-    if not np.all(some):
+    residual = rows.residual(fitted.kinematics.sightings(x, rows.samples))
+    if np.all(some):
+        of_fold = residual[mask]
+    else:
         linear = linear.select(some)
-    by_robot = rows.residual(fitted.kinematics.sightings(x, rows.samples))
+        fold = problem.rows.select(mask)
+        of_fold = fold.residual(fitted.kinematics.sightings(x, fold.samples))
     by_linear = rows.in_units(linear.residual(x)[:, : rows.width])
     kept = rows.used & counts[some, None]
-    difference = ((by_linear - by_robot) / rows.scales_at(problem.noise))[kept]
-    return bool(np.sqrt(np.mean(difference**2)) < _LINEAR)
+    difference = ((by_linear - residual) / rows.scales_at(problem.noise))[kept]
+    return bool(np.sqrt(np.mean(difference**2)) < _LINEAR), of_fold
 
 
 def _hardly_changes(fitted: Fitted, masks: Mask) -> bool:

@@ -247,11 +247,13 @@ def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:
         True for the parameters of frames and targets that none of the other rows sees, shape (p,).
     """
     samples = fitted.estimate.problem.rows.samples
+    parameters = fitted.kinematics.model.parameters
     places_alone = Samples(samples.q[:, :0], samples.frame, samples.target)
-    frames, targets = fitted.setup.places
     frames_seen, targets_seen = fitted.setup.seen_by(places_alone.select(~chosen))
+    if np.all(frames_seen) and np.all(targets_seen):
+        return np.zeros(len(parameters), dtype=bool)
+    frames, targets = fitted.setup.places
     unseen_frames = compress(frames, ~frames_seen)
     unseen_targets = compress(targets, ~targets_seen)
     unseen = {*unseen_frames, *unseen_targets}
-    parameters = fitted.kinematics.model.parameters
     return np.array([parameter.place in unseen for parameter in parameters], dtype=bool)

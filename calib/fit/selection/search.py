@@ -130,6 +130,8 @@ class Search:
     families: tuple[str, ...]
     #: All that were fitted, in order, by name
     tried: dict[str, Candidate] = field(default_factory=dict)
+    #: The fit of the highest evidence so far, if there is one: its neighbours begin there
+    _nearest: list[Fitted] = field(default_factory=list)
 
     def highest_evidence(self, start: str) -> str:
         """Return the name of a model that no neighbour and no geometry exceeds in evidence.
@@ -233,8 +235,17 @@ class Search:
             return True
         task = replace(self.task, model=name)
         try:
-            fitted = fit(task, self.rows, reference=self.reference)
+            fitted = fit(
+                task,
+                self.rows,
+                reference=self.reference,
+                near=(*self._nearest, self.reference),
+                only_compared=True,
+            )
         except MeasurementError:
             return False
+        best = max((c.evidence for c in self.tried.values()), default=-np.inf)
         self.tried[name] = assess(fitted)
+        if self.tried[name].evidence > best:
+            self._nearest[:] = [fitted]
         return True

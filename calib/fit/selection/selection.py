@@ -112,7 +112,7 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
         same_outliers = np.array_equal(chosen.estimate.outliers, search.reference.estimate.outliers)
         if same_outliers or number == _MOST_SEARCHES:
             break
-        search = replace(search, reference=chosen, tried={})
+        search = replace(search, reference=chosen, tried={}, _nearest=[])
         start = best
     non_geometric = best if "+" in best else ""
     of_order = moved_families(best)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from calib.basics.progress import Stage, begin, counted, trying
 from calib.cli.executor import executor_of
 from calib.cli.loading import load_with_data
 from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
@@ -26,7 +27,7 @@ from calib.cli.options import (
     TargetLink,
 )
 from calib.cli.output_files import check_outputs
-from calib.cli.terminal import command_line, progress_bar, say
+from calib.cli.terminal import command_line, say, work_line
 from calib.cli.verb import verb
 from calib.errors import CalibError, VerdictError
 
@@ -99,13 +100,7 @@ class Outputs:
         files = (self.output, self.json, self.view, self.report)
         check_outputs(files, inputs, force=self.force)
 
-    def write(
-        self,
-        result: Calibration,
-        tables: Mapping[str, Any],
-        *,
-        quiet: bool,
-    ) -> Iterator[Path | str]:
+    def write(self, result: Calibration, tables: Mapping[str, Any]) -> Iterator[Path | str]:
         """Write the outputs that were asked for, one after the other.
 
         The corrected URDF is not written if the verdict is ``do not use`` and was not accepted.
@@ -113,7 +108,6 @@ class Outputs:
         Args:
             result: The calibration.
             tables: Further tables for the result file, by key.
-            quiet: Whether no progress is shown.
 
         Yields:
             The name of each output, after it was written.
@@ -143,23 +137,25 @@ class Outputs:
         if self.view is not None:
             from calib.verbs.view.robots_page import write_page
 
+            trying(str(self.view))
             yield write_page(result, self.view, overwrite=self.force, accepted=self.accept)
         if self.report is not None:
             from calib.verbs.calibrate.report import write_report
 
+            trying(str(self.report))
             command = command_line()
             yield write_report(result, self.report, command=command, overwrite=self.force)
         if self.figures is not None:
             from calib.verbs.calibrate.figures import write_figures
 
-            with progress_bar("figures", quiet=quiet) as progress:
-                figures = write_figures(
-                    result,
-                    self.figures,
-                    kind=self.figure_format or "png",
-                    overwrite=self.force,
-                    progress=progress,
-                )
+            trying("figures")
+            figures = write_figures(
+                result,
+                self.figures,
+                kind=self.figure_format or "png",
+                overwrite=self.force,
+                progress=counted,
+            )
             yield f"{self.figures} ({len(figures)} figures)"
 
 
@@ -213,18 +209,13 @@ class Intervals:
                 )
 
     def compute(
-        self,
-        result: Calibration,
-        executor: Executor | None,
-        *,
-        quiet: bool,
+        self, result: Calibration, executor: Executor | None
     ) -> tuple[list[str], dict[str, Any]]:
         """Compute the intervals that were asked for.
 
         Args:
             result: The calibration.
             executor: Runs the samples of the bootstrap; None: this process.
-            quiet: Whether no progress is shown.
 
         Returns:
             Texts to print, and tables for the result file by key.
@@ -238,11 +229,12 @@ class Intervals:
         texts: list[str] = []
         tables: dict[str, Any] = {}
         if self.bootstrap is not None:
-            with progress_bar("bootstrap", quiet=quiet) as progress:
-                samples = bootstrap(result, self.bootstrap, self.seed or 0, progress, executor)
+            begin(Stage.BOOTSTRAP)
+            samples = bootstrap(result, self.bootstrap, self.seed or 0, counted, executor)
             texts.append(bootstrap_text(result, samples))
             tables["bootstrap"] = samples.table()
         if self.profile:
+            begin(Stage.PROFILE)
             profiles = [
                 (result.parameter(name), profile_interval(result, name, LEVEL))
                 for name in self.profile
@@ -286,27 +278,31 @@ def calibrate(
     intervals.check()
     outputs.check([robot, data, cell_options.file, table_options.points])
     samples = intervals.bootstrap
-    with executor_of(intervals.workers, intervals.dask, samples, default=1) as executor:
+    with (
+        executor_of(intervals.workers, intervals.dask, samples, default=1) as executor,
+        work_line(quiet=quiet),
+    ):
+        begin(Stage.READING)
         cell = cell_options.cell()
         solver_options.check()
+        trying(str(data))
         arm, measurements = load_with_data(robot, cell, data, table_options)
 
         from calib.result.calibrate import calibrate as calibrate_robot
         from calib.show.verdict_text import do_not_use_text, refusal
 
-        with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
-            result = calibrate_robot(
-                arm,
-                measurements,
-                cell=cell,
-                solver=solver_options.solver,
-                robust=solver_options.robust,
-                validate=solver_options.validate,
-                progress=progress,
-            )
-        interval_texts, tables = intervals.compute(result, executor, quiet=quiet)
-    # Files first: a reader of the text that goes away (head, less) must not cost the results.
-    written = list(outputs.write(result, tables, quiet=quiet))
+        result = calibrate_robot(
+            arm,
+            measurements,
+            cell=cell,
+            solver=solver_options.solver,
+            robust=solver_options.robust,
+            validate=solver_options.validate,
+        )
+        interval_texts, tables = intervals.compute(result, executor)
+        # Files first: a reader of the text that goes away (head, less) must not cost the results.
+        begin(Stage.WRITING)
+        written = list(outputs.write(result, tables))
     if not quiet:
         say_ignored(measurements, arm)
         say_unused_camera(measurements, cell)

@@ -74,7 +74,7 @@ def checked_urdf(c: Calibration, *, target_link: bool = False, frame_link: bool 
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
     chain = np.repeat(np.arange(len(robot.chains)), len(q))
     samples = replace(Samples.at(np.tile(q, (len(robot.chains), 1))), chain=chain)
-    check_written(robot, c.geometry.tips(samples), q, c.nominal)
+    check_written(robot, c.geometry.tips(samples), q)
     return urdf
 
 

@@ -17,8 +17,7 @@ import pinocchio as pin
 from calib.basics.arrays import Array, rigid_inverse
 from calib.errors import UrdfError, choices
 from calib.robot.full_model import full_model, link_frame
-from calib.robot.kinematic_text import kinematic_text
-from calib.robot.readback import check_close, yourdfpy_model
+from calib.robot.readback import check_close
 from calib.robot.urdf import Urdf
 
 
@@ -163,7 +162,7 @@ def _check_between(urdf: Urdf, link: str, frame: str, joint: str) -> None:
 
 
 def check_fixed_frame(urdf: Urdf, link: str, frame: str, T_link_frame: Array) -> None:
-    """Compare the pose of a link in another one, as Pinocchio and yourdfpy read it from the URDF, with the wanted one.
+    """Compare the pose of a link in another one, as Pinocchio and calib read it from the URDF, with the wanted one.
 
     Args:
         urdf: The URDF that is to be written.
@@ -177,9 +176,7 @@ def check_fixed_frame(urdf: Urdf, link: str, frame: str, T_link_frame: Array) ->
     written = Urdf.from_bytes(urdf.data, urdf.source)
     poses = {
         "Pinocchio": _by_pinocchio(written, link, frame),
-        "yourdfpy": yourdfpy_model(kinematic_text(written), written.name).get_transform(
-            frame, link
-        ),
+        "calib": fixed_pose(written, link, frame),
     }
     for reader, T_read in poses.items():
         check_close(reader, frame, T_read[None], T_link_frame[None])

@@ -124,7 +124,7 @@ def _mount(robot: Robot) -> Mount | None:
 def write_urdf(source: Source, path: Path, options: Options) -> Notes:
     """Write the URDF of a robot, or with another nominal robot that one's URDF with the robot's placements.
 
-    It is read back by Pinocchio and yourdfpy first. The note is on coupled readings, which a URDF does not hold.
+    It is read back by Pinocchio and calib first. The note is on coupled readings, which a URDF does not hold.
     """
     robot = source.robot
     q = random_joint_values(robot)
@@ -134,7 +134,7 @@ def write_urdf(source: Source, path: Path, options: Options) -> Notes:
     stated = {"run": robot.urdf.run, "verdict": robot.urdf.verdict}
     written = written.with_urdf(written.urdf.with_comments(**stated))
     poses = np.concatenate([chain.poses(q) for chain in robot.chains])
-    check_written(written, poses, q, source.nominal or robot)
+    check_written(written, poses, q)
     written.urdf.write(path, overwrite=options.overwrite)
     coupled = robot.reading_coupling
     if not coupled:

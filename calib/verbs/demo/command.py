@@ -106,7 +106,7 @@ def _calibrate_by_camera(*, quiet: bool) -> Calibration:
     """Calibrate the Franka arm from the corners in its pictures."""
     from calib.boards.board_file import read_board
     from calib.camera.camera_file import read_camera
-    from calib.cli.terminal import progress_bar
+    from calib.cli.terminal import work_line
     from calib.data.cell import Cell
     from calib.data.measurements import Measurements
     from calib.example import franka_file
@@ -122,8 +122,8 @@ def _calibrate_by_camera(*, quiet: bool) -> Calibration:
         boards={"": read_board(franka_file("board.toml"))},
         model="dh",
     )
-    with progress_bar("cross-validation", quiet=quiet, first="fits") as progress:
-        return calibrate(robot, measurements, cell=cell, progress=progress)
+    with work_line(quiet=quiet):
+        return calibrate(robot, measurements, cell=cell)
 
 
 def _write(result: Calibration, paths: list[Path], *, force: bool) -> None:

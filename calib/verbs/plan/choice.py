@@ -273,5 +273,4 @@ def _weight(criterion: str, sensitivity: Sensitivity, workspace: Workspace) -> A
         return None
     if criterion == "A":
         return np.diag(1.0 / steps(sensitivity.units) ** 2)
-    positions = workspace.located[:, :, 0].size // 3
-    return information(workspace.located) / positions
+    return workspace.mean_square

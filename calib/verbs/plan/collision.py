@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -61,6 +62,13 @@ SAMPLES = 256
 ALWAYS = 0.95
 
 
+#: Configurations that Pinocchio compares in one call: a tenth of a second.
+_BLOCK = 1024
+
+#: The processor's cores that compare them; more hardly help, as each needs a copy of the robot.
+_CORES = min(os.cpu_count() or 1, 8)
+
+
 @dataclass(frozen=True, slots=True)
 class CollisionCheck:
     """Extent and clearance of a check for collisions."""
@@ -86,6 +94,8 @@ class _Scene(NamedTuple):
     shapes: pin.GeometryModel
     #: Least distance of each pair [m]: a pair that is closer counts as touching.
     margins: Sequence[float] = ()
+    #: Pinocchio's working memory for each of the processor's cores; None without pairs.
+    pool: pin.GeometryPool | None = None
 
     @classmethod
     def of(cls, urdf: Urdf, solids: Iterable[Solid]) -> _Scene:
@@ -108,27 +118,31 @@ class _Scene(NamedTuple):
         shapes.removeAllCollisionPairs()
         for first, second in pairs:
             shapes.addCollisionPair(pin.CollisionPair(first, second))
-        return _Scene(self.model, shapes, margins)
+        pool = pin.GeometryPool(self.model, shapes, _CORES)
+        for core in range(_CORES):
+            _set_margins(pool.getGeometryData(core), margins)
+        return _Scene(self.model, shapes, margins, pool)
 
     def new_data(self) -> tuple[pin.Data, pin.GeometryData]:
         """Return new data for Pinocchio's results, of the model and of the shapes, with the margin of each pair set."""
         geometry_data = self.shapes.createData()
-        for request, margin in zip(geometry_data.collisionRequests, self.margins, strict=True):
-            request.security_margin = margin
-            # Without it coal 3.0 misses some simple shapes that are deep in each other, such as a capsule in a box.
-            request.enable_contact = True
-            # How far bounding volumes are followed beyond the margin; the default of 1 mm takes three times as long.
-            request.break_distance = 1e-6
+        _set_margins(geometry_data, self.margins)
         return self.model.createData(), geometry_data
 
-    def touches(self, configurations: Array) -> Iterator[bool]:
-        """Yield, for each configuration (N, nq) of the whole robot, whether any pair is closer than its margin."""
-        data, geometry_data = self.new_data()
-        for configuration in configurations:
-            is_touching = pin.computeCollisions(
-                self.model, data, self.shapes, geometry_data, configuration, True
-            )
-            yield bool(is_touching)
+    def touches(self, configurations: Array, *, first: bool = False) -> Mask:
+        """Return at which configurations (N, nq) of the whole robot any pair is closer than its margin, (N,).
+
+        With ``first`` none is compared after the first one at which a pair is, so that those behind it may be missing.
+        """
+        parts = [np.zeros(0, dtype=np.bool_)]
+        # In blocks, so that the program can be interrupted; of a path at once, by one core.
+        size = len(configurations) if first else _BLOCK
+        for start in range(0, len(configurations), size):
+            block = np.asfortranarray(configurations[start : start + size].T)
+            cores = 1 if first else _CORES
+            part = pin.computeCollisionsInParallel(cores, self.pool, block, True, first)
+            parts.append(part.astype(np.bool_))
+        return np.concatenate(parts)
 
     def touched(self, configurations: Array) -> Mask:
         """Return which of the scene's P pairs are closer than their margins, (N, P), in the scene's order.
@@ -143,6 +157,16 @@ class _Scene(NamedTuple):
             )
             touched.append([result.isCollision() for result in geometry_data.collisionResults])
         return np.array(touched, dtype=np.bool_)
+
+
+def _set_margins(geometry_data: pin.GeometryData, margins: Sequence[float]) -> None:
+    """Set the least distance [m] of each pair in new data of Pinocchio."""
+    for request, margin in zip(geometry_data.collisionRequests, margins, strict=True):
+        request.security_margin = margin
+        # Without it coal 3.0 misses some simple shapes that are deep in each other, such as a capsule in a box.
+        request.enable_contact = True
+        # How far bounding volumes are followed beyond the margin; the default of 1 mm takes three times as long.
+        request.break_distance = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -265,8 +289,7 @@ class CollisionModel:
         Returns:
             True where the pose is free, shape (N,).
         """
-        touches = self._scene.touches(self._configurations(q))
-        return ~np.fromiter(touches, dtype=np.bool_)
+        return ~self._scene.touches(self._configurations(q))
 
     def path_free(self, q_from: ArrayLike, q_to: ArrayLike) -> bool:
         """Test whether the straight move in joint space between two poses is free, both ends included.
@@ -290,7 +313,7 @@ class CollisionModel:
         coarse_first = sorted(range(count + 1), key=lambda i: -(i & -i or count + 1))
         share = np.array(coarse_first)[:, None] / count
         path = self._configurations((1.0 - share) * ends[0] + share * ends[1])
-        return not any(self._scene.touches(path))
+        return not self._scene.touches(path, first=True).any()
 
     def beam_free(self, T_tip_target: Array, tracker: Array, q: Array, ahead: float = 0.0) -> Mask:
         """Test at which poses no link and no box is in the beam from a tracker to the target.

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrmm
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask, read_only
@@ -46,8 +47,10 @@ class Workspace(NamedTuple):
     #: Shape (n, d, p), derivative of the d scalars that are measured at each of n poses, whitened, see
     #: `Sensitivity.measured`.
     measured: Array
-    #: Shape (n, 3 k, p), derivative of the positions of the k targets, [m per unit], see `Sensitivity.located`.
+    #: Shape (n, 3 k, p), derivative J of the positions of the k targets, [m per unit], see `Sensitivity.located`.
     located: Array
+    #: B, shape (p, p), the mean of J^T J over poses and targets [m^2 per units].
+    mean_square: Array
     #: Number of parameters, or combinations, that all these poses determine.
     rank: int
 
@@ -72,7 +75,9 @@ class Workspace(NamedTuple):
             measurable = q
         measured = sensitivity.measured(measurable, None, seen)
         located = sensitivity.located(q)
-        return cls(measured, located, sensitivity.analysed(measurable, measured).rank)
+        mean_square = information(located) / (located[:, :, 0].size // 3)
+        rank = sensitivity.analysed(measurable, measured).rank
+        return cls(measured, located, mean_square, rank)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,8 +145,8 @@ class Forecast(Value):
         """
         measured = sensitivity.measured(q, moves, seen)
         root = covariance_root(measured, sensitivity.precision)
-        variance, relative, squares = _spreads(workspace, root)
-        rms_low, rms_high = _range_of_rms(squares)
+        variance, relative = _spreads(workspace, root)
+        rms_low, rms_high = _range_of_rms(root.T @ workspace.mean_square @ root)
         observability = sensitivity.analysed(q, measured)
         return cls(
             names=sensitivity.names,
@@ -289,29 +294,28 @@ def covariance_root(measured: Array, precision: Array) -> Array:
     return np.asarray(solve_triangular(R, np.eye(len(R))))
 
 
-def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array, Array]:
+def _spreads(workspace: Workspace, root: Array) -> tuple[Array, Array]:
     """Propagate the covariance C = root root^T to the n poses of a workspace with k targets.
 
-    The results are the variance of each target's position, (n k,) [m^2]; that of all scalars at each pose, added up,
-    (n,), in variances of the noise; and root^T B root, (p, p) [m^2], with the mean B of J^T J over all positions.
+    The results are the variance of each target's position, (n k,) [m^2]; and that of all scalars at each pose, added
+    up, (n,), in variances of the noise.
     """
     p = len(root)
 
-    def work(block: slice) -> tuple[Array, Array, Array]:
-        """Return these for a slice of the poses, the last one as a sum over its positions."""
-        moves = workspace.located[block].reshape(-1, p) @ root
-        by_target = moves.reshape(-1, 3 * p)
+    def squares(derivatives: Array, rows: int) -> Array:
+        """Return the squares of derivatives (b, d, p) times the root, added up over so many scalars each."""
+        # The root is an upper triangle.
+        changes = dtrmm(1.0, root, derivatives.reshape(-1, p).T, trans_a=1).T.reshape(-1, rows * p)
+        return np.asarray(np.einsum("nk,nk->n", changes, changes))
+
+    def work(block: slice) -> tuple[Array, Array]:
+        """Return both for a slice of the poses."""
         measured = workspace.measured[block]
-        changes = (measured.reshape(-1, p) @ root).reshape(len(measured), -1)
-        variance = np.einsum("nk,nk->n", by_target, by_target)
-        relative = np.einsum("nk,nk->n", changes, changes)
-        return variance, relative, moves.T @ moves
+        return squares(workspace.located[block], 3), squares(measured, measured.shape[1])
 
     parts = over_blocks(work, len(workspace.located))
-    variances, relatives, squares = zip(*parts, strict=True)
-    variance = np.concatenate(variances)
-    mean_squares = np.sum(squares, axis=0) / len(variance)
-    return variance, np.concatenate(relatives), mean_squares
+    variances, relatives = zip(*parts, strict=True)
+    return np.concatenate(variances), np.concatenate(relatives)
 
 
 def information(A: Array) -> Array:

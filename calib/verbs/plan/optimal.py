@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dtrmm
 
 from calib.basics.arrays import Array
 from calib.robot.kernel import over_blocks
@@ -182,13 +183,14 @@ def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int)
     `_gains` are computed only for candidates whose upper bound reaches the gain of a good one.
     """
     C = np.linalg.inv(basis.known + information(blocks[design]))
-    bound = _gain_bounds(blocks, C, basis.target)
+    CTC = None if basis.target is None else C @ basis.target @ C
+    bound = _gain_bounds(blocks, C, CTC)
     bound[design] = -1.0
     first = [int(np.argmax(bound)), *likely]
-    least = _gains(blocks[first], C, basis.target).max()
+    least = _gains(blocks[first], C, CTC).max()
     bound[first] = np.inf  # by rounding, the bound of the best one may be less than its gain
     promising = np.flatnonzero(bound >= least)
-    gains = _gains(blocks[promising], C, basis.target)
+    gains = _gains(blocks[promising], C, CTC)
     return int(promising[np.argmax(gains)])
 
 
@@ -208,12 +210,22 @@ def ranking(blocks: Array, basis: Basis) -> Array:
         The sensitivity s of each candidate, shape (n,): tr(A C A^T), or tr(A C T C A^T), with C the inverse of the
         weighted mean of A^T A; larger if the design relies more on the candidate.
     """
-    n, rows, r = blocks.shape
-    flat = blocks.reshape(-1, r)
+    n, _, r = blocks.shape
+
+    def information_of(block: slice) -> Array:
+        """Return sum w A^T A of a slice of the candidates."""
+        A = blocks[block]
+        return np.asarray((A * weights[block, None, None]).reshape(-1, r).T @ A.reshape(-1, r))
+
+    def squares_of(block: slice) -> Array:
+        """Return tr(A C A^T), C = root root^T, of each candidate of a slice."""
+        changes = (blocks[block].reshape(-1, r) @ root).reshape(-1, blocks[0].size)
+        return np.asarray(np.einsum("nk,nk->n", changes, changes))
+
     power = 1.0 if basis.target is None else 0.5
     sensitivity = weights = np.full(n, 1.0 / n)
     for _ in range(_RANKING_STEPS):
-        M = (flat * np.repeat(weights, rows)[:, None]).T @ flat
+        M = np.sum(over_blocks(information_of, n), axis=0)
         C = np.linalg.inv(M + _LEASH * np.eye(r))
         if basis.target is not None:
             # So that the target has a root, and is symmetric in spite of rounding.
@@ -221,7 +233,7 @@ def ranking(blocks: Array, basis: Basis) -> Array:
             C = C @ (basis.target + leash * np.eye(r)) @ C
             C = 0.5 * (C + C.T)
         root = np.linalg.cholesky(C)
-        sensitivity = np.sum((flat @ root).reshape(n, -1) ** 2, axis=1)
+        sensitivity = np.concatenate(over_blocks(squares_of, n))
         weights = weights * (sensitivity / (weights @ sensitivity)) ** power
         weights /= weights.sum()
     return sensitivity
@@ -232,39 +244,41 @@ def short_list(rank: Array, count: int) -> Indices:
     return np.sort(np.argsort(-rank, kind="stable")[:count])
 
 
-def _gain_bounds(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
+def _gain_bounds(blocks: Array, C: NDArray[np.floating[Any]], CTC: Array | None) -> Array:
     """Bound from above what adding each of n candidates gains, (n,), as `_gains` computes it at five times the cost.
 
     det(I + G) <= (1 + tr G / d)^d without a target,    tr((I + G)^-1 E) <= tr E with one
     """
     n, d, r = blocks.shape
-    K = C if target is None else C @ target @ C
+    K = C if CTC is None else CTC
+    # K is symmetric: x^T K x = x^T U x with an upper triangle U, which halves the products.
+    U = np.asfortranarray(np.triu(2.0 * K) - np.diag(np.diag(K)))
 
     def work(block: slice) -> Array:
         """Return tr(A K A^T) of each candidate of a slice."""
         A = blocks[block].reshape(-1, r)
-        AK = (A @ K).reshape(-1, d * r)
-        return np.asarray(np.einsum("nk,nk->n", AK, A.reshape(-1, d * r)))
+        AU = dtrmm(1.0, U, A.T).T
+        return np.asarray(np.einsum("nk,nk->n", AU.reshape(-1, d * r), A.reshape(-1, d * r)))
 
     trace = np.concatenate(over_blocks(work, n))
-    if target is None:
+    if CTC is None:
         return np.asarray((1.0 + trace / d) ** d)
     return trace
 
 
-def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:
+def _gains(blocks: Array, C: NDArray[np.floating[Any]], CTC: Array | None) -> Array:
     """Compute what adding each of n candidates to a design of covariance C (r, r) gains, (n,).
 
-    It is det(I + G) without a target (None), else what tr(T C) falls by with the target T (r, r), tr((I + G)^-1 E):
-    G = A C A^T and E = A C T C A^T, A being a candidate's derivative in ``blocks`` (n, d, r).
+    It is det(I + G) without a target (CTC is None), else what tr(T C) falls by with the target T (r, r),
+    tr((I + G)^-1 E): G = A C A^T and E = A C T C A^T, A being a candidate's derivative in ``blocks`` (n, d, r).
     """
     n, d, r = blocks.shape
-    both = C if target is None else np.hstack([C, C @ target @ C])
+    both = C if CTC is None else np.hstack([C, CTC])
     # G and E by one product, side by side: shape (n, d, 1 or 2, d).
     Y = (blocks.reshape(-1, r) @ both).reshape(n, -1, r)
     products = np.matmul(Y, blocks.transpose(0, 2, 1)).reshape(n, d, -1, d)
     I_plus_G = np.eye(d) + products[:, :, 0]
-    if target is None:
+    if CTC is None:
         return np.asarray(np.linalg.det(I_plus_G))
     E = products[:, :, 1]
     return np.asarray(np.trace(np.linalg.solve(I_plus_G, E), axis1=1, axis2=2))

@@ -21,7 +21,13 @@ from calib.basics.jobs import Progress
 from calib.basics.units import UNITS
 from calib.errors import ModelError
 from calib.instruments.instrument import Condition, Instrument, Sightline
-from calib.robot.ranges import column_limits, joint_ranges, margins_by_joint, spread_between
+from calib.robot.ranges import (
+    column_limits,
+    joint_ranges,
+    margins_by_joint,
+    scrambled_sobol,
+    spread_between,
+)
 from calib.robot.robot import Robot
 from calib.verbs.compensate.inverse import POSE, Matching, solve
 from calib.verbs.compensate.nominal_actual import Arm
@@ -315,10 +321,6 @@ def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
 
     The ranges are of the joint values; readings are rounded as a table writes them.
     """
-    # Imported late: SciPy's distributions take as long as the rest of calib.
-    from scipy.stats import qmc
-
-    sequence = qmc.Sobol(len(ranges), scramble=True, seed=seed)
     is_coupled = bool(robot.reading_coupling)
     low, high = ranges.T
     if is_coupled:
@@ -326,8 +328,7 @@ def _even_batches(robot: Robot, ranges: Array, seed: int) -> Iterator[Array]:
         moved = np.abs(robot.reading_matrix) @ (0.5 / _STEPS * _table_units(robot))
         moved = np.minimum(moved, 0.5 * np.ptp(ranges, axis=1))
         low, high = low + moved, high - moved
-    while True:
-        unit = sequence.random(EVEN.batch)
+    for unit in scrambled_sobol(len(ranges), EVEN.batch, seed):
         values = low + unit * (high - low)
         if is_coupled:
             yield rounded(robot, robot.readings(values))
@@ -342,15 +343,11 @@ def _batches_near_viewpoints(
 
     Ranges are (m, 2); the readings that inverse kinematics finds may be beyond them.
     """
-    # Imported late: SciPy's distributions take as long as the rest of calib.
-    from scipy.stats import qmc
-
     robot = sightline.robot
-    sequence = qmc.Sobol(instrument.VIEWPOINT_NUMBERS, scramble=True, seed=seed)
     starts = robot.readings(spread_between(ranges, _STARTS))
     views = _coordinates(sightline.target_poses(starts))
-    while True:
-        unit = sequence.random(_CHOICE * TOWARDS_VIEWPOINTS.batch)
+    size = _CHOICE * TOWARDS_VIEWPOINTS.batch
+    for unit in scrambled_sobol(instrument.VIEWPOINT_NUMBERS, size, seed):
         T_instrument_target = instrument.viewpoints(unit)
         wanted = _coordinates(T_instrument_target)
         # The nearest by squared distances, without the terms that are the same for all starts.

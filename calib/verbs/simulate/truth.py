@@ -108,7 +108,7 @@ class Truth(Value):
         return self.model.apply(self.nominal, self.x) if self.given is None else self.given
 
     def write_urdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the URDF of the true geometry, after reading it back with Pinocchio and yourdfpy.
+        """Write the URDF of the true geometry, after reading it back with Pinocchio and calib.
 
         It has no verdict, because that of the nominal URDF is on another geometry. Of several robots each has a URDF of
         its own beside it too, as `calib.robot.joined_urdf.path_of_robot` names them.
@@ -126,7 +126,7 @@ class Truth(Value):
         robot = self.robot
         q = random_joint_values(robot)
         expected = np.concatenate([chain.poses(q) for chain in robot.chains])
-        check_written(robot, expected, q, self.nominal)
+        check_written(robot, expected, q)
         # Run and verdict in the nominal URDF are of another geometry.
         urdf = robot.urdf.with_comments(run="", verdict="")
         if robot.parts:

@@ -14,7 +14,7 @@ from calib.basics.arguments import check_whole, finite_numbers
 from calib.basics.arrays import Array
 from calib.data.inputs import RobotInput, robot_of
 from calib.numerics.geometry import position_in_tip
-from calib.robot.ranges import joint_ranges
+from calib.robot.ranges import joint_ranges, scrambled_sobol
 from calib.robot.robot import Robot
 from calib.verbs.workspace.region import Region
 
@@ -96,17 +96,13 @@ def workspace_points(
     if ranges is not None:
         m = len(robot.inputs)
         limits = finite_numbers("ranges", ranges, (m, 2), f"of shape ({m}, 2), [rad] or [m]")
-    # Imported late: SciPy's distributions take as long as the rest of calib.
-    from scipy.stats import qmc
-
     low, high = limits.T
-    sequence = qmc.Sobol(len(low), scramble=True, seed=np.random.default_rng(seed))
     points = np.empty((count, 3))
-    for start in range(0, count, _CHUNK):
+    starts = range(0, count, _CHUNK)
+    own_seed = np.random.SeedSequence(seed).spawn(1)[0]  # another sequence than that of a plan
+    for start, unit in zip(starts, scrambled_sobol(len(low), _CHUNK, own_seed), strict=False):
         end = min(start + _CHUNK, count)
-        # SciPy asks for a power of two at first.
-        unit = sequence.random(_CHUNK)[: end - start]
-        T_base_tip = robot.poses(robot.readings(low + unit * (high - low)))
+        T_base_tip = robot.poses(robot.readings(low + unit[: end - start] * (high - low)))
         points[start:end] = T_base_tip[:, :3, :3] @ p_tip_target + T_base_tip[:, :3, 3]
         if progress is not None:
             progress(end, count)

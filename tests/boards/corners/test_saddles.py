@@ -16,7 +16,9 @@ from calib.boards.corners.saddles import (
     Saddles,
     find_saddles,
     interpolate,
-    patch_at,
+    patches_at,
+    saddle_colours,
+    uncertainties,
     window_weights,
 )
 from tests.boards.board_views import CHARUCO_BOARD, CHESS_BOARD, View, render
@@ -30,9 +32,14 @@ PICTURES = 12
 
 def windows(board: Board, view: View) -> Array:
     """The windows around the true corners."""
+    return window_size(board) * jacobians(board, view)
+
+
+def jacobians(board: Board, view: View) -> Array:
+    """The derivatives of the corners' pixels by x and y of the board."""
     points = board.corners[:, :2]
     planar_map = fit_planar_map(points, view.corners(board), view.size)
-    return window_size(board) * planar_map.jacobians(points, 0.25 * board.square)
+    return planar_map.jacobians(points, 0.25 * board.square)
 
 
 def saddles(board: Board, view: View, offset: float = 0.0, sign: float = 1.0) -> Saddles:
@@ -87,20 +94,25 @@ def test_a_corner_at_the_image_s_edge_is_none():
     np.testing.assert_allclose(found.pixels, [[29.5, 22.5]], atol=0.01)
 
 
+def weights_at(offsets: Array) -> Array:
+    """The weights at offsets (n, 2) from a corner, each in a window of its own."""
+    d_u, d_v = offsets.T[:, :, None, None]
+    return window_weights(d_u, d_v, np.tile(WINDOW, (len(offsets), 1, 1)))[:, 0, 0]
+
+
 def test_across_an_edge_the_weights_are_even():
     for axis in (0, 1):
         along = WINDOW[:, axis] / np.hypot(*WINDOW[:, axis])
         across = np.array([-along[1], along[0]])
         for distance in (1.0, 2.5):
             offsets = distance * along + np.array([[-0.05], [0.05]]) * across
-            before, behind = window_weights(offsets[None], WINDOW)[0]
+            before, behind = weights_at(offsets)
             assert before == pytest.approx(behind, rel=1e-3)
 
 
 def test_weights_end_where_the_window_does():
     along_x = WINDOW[:, 0]
-    offsets = np.array([[0.0 * along_x, 2.79 * along_x, 2.81 * along_x]])
-    weights = window_weights(offsets, WINDOW)[0]
+    weights = weights_at(np.array([0.0 * along_x, 2.79 * along_x, 2.81 * along_x]))
     assert weights[0] == 1.0
     assert weights[1] > 0.0
     assert weights[2] == 0.0
@@ -108,18 +120,44 @@ def test_weights_end_where_the_window_does():
 
 def test_a_patch_has_central_differences():
     u, v = np.meshgrid(np.arange(40.0), np.arange(30.0))
-    patch = patch_at(3.0 * u - 2.0 * v, np.array([20.3, 14.8]), WINDOW)
-    assert patch is not None
-    np.testing.assert_allclose(patch.gradients, np.broadcast_to([3.0, -2.0], patch.gradients.shape))
-    total = patch.weights.sum()
-    np.testing.assert_allclose(patch.normal_matrix, total * np.array([[9, -6], [-6, 4]]))
+    q = np.array([[20.3, 14.8], [11.1, 12.2]])
+    patches = patches_at(3.0 * u - 2.0 * v, q, np.stack([WINDOW, 0.6 * WINDOW]))
+    assert patches.are_inside.all()
+    inside = patches.weights > 0.0
+    np.testing.assert_allclose(patches.g_u[inside], 3.0)
+    np.testing.assert_allclose(patches.g_v[inside], -2.0)
+    total = patches.weights.sum(axis=(1, 2))[:, None, None]
+    np.testing.assert_allclose(patches.normal_matrices(), total * np.array([[9, -6], [-6, 4]]))
     # Offsets are from the place to the pixels.
-    np.testing.assert_allclose((patch.offsets + np.array([20.3, 14.8])) % 1.0, 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.round(patches.d_u[:, 0] + q[:, :1], 9) % 1.0, 0.0)
+    np.testing.assert_allclose(np.round(patches.d_v[:, :, 0] + q[:, 1:], 9) % 1.0, 0.0)
+    # Beside a larger window, the smaller one has no more pixels than alone.
+    alone = patches_at(3.0 * u - 2.0 * v, q[1:], 0.6 * WINDOW[None])
+    assert np.count_nonzero(patches.weights[1]) == np.count_nonzero(alone.weights[0])
+    assert patches.weights[1].sum() == pytest.approx(alone.weights[0].sum(), rel=1e-12)
 
 
 @pytest.mark.parametrize("place", [(2.0, 15.0), (38.0, 15.0), (20.0, 1.0), (np.nan, 3.0)])
-def test_a_patch_that_leaves_the_image_is_none(place: tuple[float, float]):
-    assert patch_at(np.zeros((30, 40)), np.array(place), WINDOW) is None
+def test_a_patch_that_leaves_the_image_has_no_weight(place: tuple[float, float]):
+    patches = patches_at(np.zeros((30, 40)), np.array([place]), WINDOW[None])
+    assert not patches.are_inside.any()
+    assert not patches.weights.any()
+    assert uncertainties(np.zeros((30, 40)), np.array([place]), WINDOW[None]) == np.inf
+
+
+def test_the_other_colours_are_told_from_none():
+    view = View(noise=0, tilt=(5, 3, 20))
+    image = np.asarray(render(CHESS_BOARD, view), dtype=float)
+    signs = corner_signs(CHESS_BOARD)
+    expected = view.corners(CHESS_BOARD)
+    _, colours = saddle_colours(image, expected, windows(CHESS_BOARD, view))
+    assert (colours == signs).all()
+    _, negative = saddle_colours(255.0 - image, expected, windows(CHESS_BOARD, view))
+    assert (negative == -signs).all()
+    # In the middle of a square there is none.
+    middles = expected + 0.5 * CHESS_BOARD.square * jacobians(CHESS_BOARD, view).sum(axis=2)
+    _, none = saddle_colours(image, middles, windows(CHESS_BOARD, view))
+    assert not none.any()
 
 
 def test_interpolation_is_exact_for_a_parabola_and_averages_noise():

@@ -184,3 +184,59 @@ def test_boards_that_can():
     check_boards(
         [CHARUCO_BOARD, other, replace(TAG_BOARD, name="b"), replace(CHESS_BOARD, name="c")]
     )
+
+
+@pytest.mark.slow
+def test_markers_of_which_none_has_a_described_id(detected: Detect):
+    detection = detected(replace(CHARUCO_BOARD, first_marker=40), CHARUCO_BOARD)
+    finding = findings(detection)["first_marker"]
+    assert finding.pictures == tuple(VIEWS)
+    assert finding.better is not None
+    assert finding.better.first_marker == 0
+
+
+@pytest.mark.slow
+def test_markers_of_another_board_are_no_mistake(tmp_path: Path):
+    missing = replace(CHARUCO_BOARD, name="missing", first_marker=40)
+    for name, view in VIEWS.items():
+        cv2.imwrite(str(tmp_path / name), render(CHARUCO_BOARD, view))
+    detection = detect(find_images([tmp_path]), [CHARUCO_BOARD, missing])
+    assert detection.findings == ()
+    assert detection.corner_count == 3 * 24
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("described", "printed", "code"),
+    [
+        (replace(CHESS_BOARD, columns=6), CHESS_BOARD, "size"),
+        (replace(CHARUCO_BOARD, dictionary="DICT_6X6_100"), CHARUCO_BOARD, "dictionary"),
+        (CHARUCO_BOARD, CHARUCO_BOARD, ""),
+    ],
+)
+def test_some_pictures_of_many_are_searched_first(
+    tmp_path: Path, described: Board, printed: Board, code: str
+):
+    """What is found, and said, is the same as of pictures that are all searched at once."""
+    names = [f"{k}.png" for k in range(1, 13)]
+    for k, name in enumerate(names):
+        view = list(VIEWS.values())[k % len(VIEWS)]
+        image = render(printed, replace(view, tilt=(view.tilt[0], view.tilt[1], 30.0 * k)))
+        # One is dark: only a copy shows its board.
+        image = image // 12 if k == 3 else image
+        cv2.imwrite(str(tmp_path / name), image)
+    steps = []
+    detection = detect(
+        find_images([tmp_path]),
+        [described],
+        progress=lambda done, total: steps.append((done, total)),
+    )
+    assert steps[-1] == (12, 12)
+    assert [done for done, _ in steps] == sorted({done for done, _ in steps})
+    if code:
+        assert findings(detection)[code].pictures == tuple(names)
+        assert detection.corner_count == 0
+    else:
+        # That of 4.png has bright and dark as they are nowhere else: it was found in a copy.
+        assert {one.code: one.pictures for one in detection.findings} == {"evened": ("4.png",)}
+        assert detection.corner_count == 12 * 24

@@ -158,5 +158,13 @@ def test_targets_of_a_stop_share_what_their_body_is_off_by(make_scene):
     stage = replace(stage, noise=np.array([found.estimate.noise]))
     shares = stage.by_stops(linear).stop_shares[0, 0]
     assert shares.sum() == pytest.approx(1.0 / 1.01, abs=0.05)
+    # Asked for after those with shares, equations without are those that a new problem has.
+    of_shares = linear.normal_equations(stage.effective, stage.by_stops(linear).stop_shares)
+    for factor in (1.0, 2.0):
+        without = linear.normal_equations(factor * stage.effective, stage.stop_shares)
+        again = Problem.initial(found.kinematics, rows).linear(found.estimate.x)
+        fresh = again.normal_equations(factor * stage.effective, stage.stop_shares)
+        np.testing.assert_allclose(without.H, fresh.H, rtol=1e-9, atol=1e-9 * fresh.H.max())
+        assert np.max(np.abs(of_shares.H - without.H)) > 0.1 * fresh.H.max()
     exact = replace(stage, noise=1.5 * np.array([linear.smallest_noise]))
     assert not np.any(exact.by_stops(linear).stop_shares)

@@ -22,6 +22,7 @@ from calib.fit.selection.cross_validation import (
     linear_cross_validation,
     nominal_cross_validation,
 )
+from calib.fit.selection.folds import seen_only_by
 from tests.fit.selection.models import fitted_to, task_of, task_of_case, with_outlying_points
 
 
@@ -180,14 +181,19 @@ def test_the_linear_one_agrees_with_the_refitted_one(case):
     assert np.sqrt(np.mean(apart[used] ** 2)) < 0.5
 
 
-def test_without_a_fold_the_mean_is_that_of_the_normal_equations_of_the_others(make_scene):
-    """(A^T W A + P) x = A^T W y, with the weights of the fold at zero."""
+@pytest.mark.parametrize("size", [1, 6, 20])
+def test_without_a_fold_the_mean_is_that_of_the_normal_equations_of_the_others(make_scene, size):
+    """(A^T W A + P) x = A^T W y, with the weights of the fold at zero, be it smaller than the model or larger."""
     scene = make_scene(93, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
     fitted = fitted_to(scene, scene.points(30), Cell())
     problem = fitted.estimate.problem
+    weights = np.where(np.arange(30) % 5 == 0, 0.5, 1.0)
+    problem = replace(problem, weights=weights)
+    fitted = replace(fitted, estimate=replace(fitted.estimate, problem=problem))
     linear = problem.linear(fitted.estimate.x)
-    mask = np.arange(30) < 6
-    (x,) = fold_posterior_means(fitted, linear, mask[None])
+    mask = np.arange(30) < size
+    last = np.arange(30) == 29
+    x, _ = fold_posterior_means(fitted, linear, [mask, last])
     (noise,) = fitted.estimate.noise
     A = linear.A[~mask] * np.sqrt(problem.weights[~mask])[:, None, None] / noise
     r = linear.residual(np.zeros(len(x)))[~mask] * np.sqrt(problem.weights[~mask])[:, None] / noise
@@ -195,3 +201,17 @@ def test_without_a_fold_the_mean_is_that_of_the_normal_equations_of_the_others(m
     information = A.T @ A + linear.C.T @ linear.C + np.diag(problem.prior_precision)
     right = A.T @ r + linear.C.T @ linear.z + problem.prior_precision * problem.prior_mean
     np.testing.assert_allclose(x, np.linalg.solve(information, right), rtol=1e-5, atol=1e-9)
+
+
+def test_what_only_a_fold_sees_stays_at_its_prior_without_it(calibrated):
+    """A frame of one station has no more than the weak prior about 0 left, however many rows saw it."""
+    _, c = calibrated("set-ups")
+    fitted = c.fit.geometry
+    linear = fitted.estimate.problem.linear(fitted.estimate.x)
+    frame = fitted.estimate.problem.rows.samples.frame
+    for number in np.unique(frame):
+        mask = frame == number
+        unseen = seen_only_by(fitted, mask)
+        assert np.any(unseen)
+        (x,) = fold_posterior_means(fitted, linear, mask[None])
+        np.testing.assert_allclose(x[unseen], 0.0, atol=1e-9)

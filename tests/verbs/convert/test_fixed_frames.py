@@ -272,5 +272,5 @@ def test_a_frame_elsewhere_is_refused(mounted, off):
 
 def test_the_second_reader_counts_too(monkeypatch):
     monkeypatch.setattr(fixed_frames, "_by_pinocchio", lambda *_: T_TOOL_OPTICAL)
-    with pytest.raises(UrdfError, match="read back by yourdfpy"):
+    with pytest.raises(UrdfError, match="read back by calib"):
         check_fixed_frame(urdf_with_camera(), "tool0", "color_optical", np.asarray(T_TOOL_OPTICAL))

@@ -48,6 +48,14 @@ _STEPS = 20
 #: Shares that change by less than this, relative to kappa, have settled.
 _SETTLED = 1e-4
 
+#: Shares are extrapolated by at most so many times what a round changed them by; rounds that overshoot go back by at
+#: most this part.
+_FARTHEST = 10.0
+_BACK = 0.5
+
+#: An extrapolation leaves at least this part of the share that the targets do not have in common.
+_LEFT = 0.5
+
 #: Divisor in place of zero.
 TINY = 1e-300
 
@@ -179,6 +187,31 @@ def _shares_of(theta: Array) -> Array:
     shares = theta[1:] / max(float(np.sum(theta)), TINY)
     excess = float(np.sum(shares)) / (1.0 - _LEAST_UNSHARED)
     return np.asarray(shares / max(excess, 1.0))
+
+
+def extrapolated(last: tuple[Array, Array], latest: tuple[Array, Array]) -> Array:
+    """Extrapolate the shares of B fits from two rounds of an estimation that turns shares x into F(x).
+
+    Rounds near their limit like a geometric series. With the change f = F(x) - x of either (D. G. Anderson, 1965),
+
+        x_next = F - theta (F - F_last),        theta = f^T (f - f_last) / |f - f_last|^2
+
+    Args:
+        last: What the last round began with and what it came to, shape (B, C, 3) each.
+        latest: The same of the latest round.
+
+    Returns:
+        shape (B, C, 3), >= 0; as the latest round has them where this would leave too little to the targets alone.
+    """
+    change = latest[1] - latest[0]
+    difference = change - (last[1] - last[0])
+    square = np.sum(difference**2, axis=(1, 2))
+    theta = np.sum(change * difference, axis=(1, 2)) / np.maximum(square, TINY)
+    step = np.clip(theta, -_FARTHEST, _BACK)[:, None, None] * (latest[1] - last[1])
+    ahead = np.maximum(latest[1] - step, 0.0)
+    left = 1.0 - np.sum(ahead, axis=2, keepdims=True)
+    least = _LEFT * (1.0 - np.sum(latest[1], axis=2, keepdims=True))
+    return np.where(left > least, ahead, latest[1])
 
 
 def unshared(rho: Array) -> float:

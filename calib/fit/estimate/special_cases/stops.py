@@ -31,7 +31,6 @@ equations and in what a solver sees, `estimate_shares` in each stage, and `displ
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -82,6 +81,8 @@ class Stops:
     _cell_of_row: Integers = field(init=False, repr=False)
     #: (M,), index of each cell's stop, from 0
     _stop_of_cell: Integers = field(init=False, repr=False)
+    #: Of stops of k cells each: their indices, (s,), and those of their scalars, (s, D k), in (D, M), flat
+    _batches: tuple[tuple[Integers, Integers], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Find where cells and stops begin among the n rows, which are sorted by stop and, within it, by cell."""
@@ -92,6 +93,16 @@ class Stops:
         object.__setattr__(self, "_first_cell", np.flatnonzero(begins_stop))
         object.__setattr__(self, "_cell_of_row", np.cumsum(begins_cell) - 1)
         object.__setattr__(self, "_stop_of_cell", np.cumsum(begins_stop) - 1)
+        M = len(self._first_row)
+        sizes = np.diff(self._first_cell, append=M)
+        first_of_scalar = M * np.arange(self.J.shape[1])
+        batches = []
+        for size in np.unique(sizes):
+            stops = np.flatnonzero(sizes == size)
+            cells = self._first_cell[stops, None] + np.arange(size)
+            scalars = (cells[:, None] + first_of_scalar[:, None]).reshape(len(stops), -1)
+            batches.append((stops, scalars))
+        object.__setattr__(self, "_batches", tuple(batches))
 
     @classmethod
     def of(cls, kinematics: Kinematics, rows: Rows) -> Stops | None:
@@ -191,11 +202,14 @@ class Stops:
             root_share = np.sqrt(w / weight_of_cell[stops._cell_of_row])
             Y = columns[:, :, stops.rows]
             for c in channels:
-                means, change, of_channel = stops._independent_means(Y, w, c, rho[c])
-                change -= means
-                if stops._has_repeats:
-                    change = change[:, :, stops._cell_of_row] * root_share
-                result[:, :, stops.rows] += change
+                means, independent, of_channel = stops._independent_means(Y, w, c, rho[c])
+                if not stops._has_repeats and np.all(stops.channel == c):
+                    result[:, :, stops.rows] = independent
+                else:
+                    change = independent - means
+                    if stops._has_repeats:
+                        change = change[:, :, stops._cell_of_row] * root_share
+                    result[:, :, stops.rows] += change
                 log_det += of_channel
         return result, log_det
 
@@ -297,19 +311,23 @@ class Stops:
         """
         means, J, count = self._means(Y, weights, c)
         kappa = unshared(rho)
-        G = J * (root_shares(rho, len(J)) / np.sqrt(kappa))[:, None, None]
-        squares, Q = np.linalg.eigh(self._sums_of_products(G, G))
-        s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
-        sums = self._sums_of_products(G, means)
-        shared = (Q / (s + s**2)) @ (transposed(Q) @ sums)  # (S, d, q)
-        independent = means.copy()
-        flat = independent.reshape(len(means), -1)
-        for stops, scalars in self._batches():
-            of_batch = G.reshape(len(G), -1)[:, scalars].transpose(1, 0, 2)
-            flat[:, scalars] -= (transposed(shared[stops]) @ of_batch).transpose(1, 0, 2)
-        independent /= np.sqrt(kappa)
-        log_det = np.sum(count) * np.log(kappa) + 2.0 * np.sum(np.log(s))
-        return means, independent, float(log_det)
+        root = np.sqrt(kappa)
+        G = (J * (root_shares(rho, len(J)) / root)[:, None, None]).reshape(len(J), -1)
+        flat = means.reshape(len(means), -1)
+        independent = np.empty(flat.shape)
+        log_det = float(np.sum(count)) * np.log(kappa)
+        for _, scalars in self._batches:
+            of_stops = G[:, scalars].transpose(1, 0, 2)
+            squares, Q = np.linalg.eigh(of_stops @ transposed(of_stops))
+            s = np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None]  # (S, 1, d)
+            X = flat[:, scalars]
+            sums = of_stops @ X.transpose(1, 2, 0)
+            shared = (Q / (s + s**2)) @ (transposed(Q) @ sums)  # (S, d, q)
+            X -= (transposed(shared) @ of_stops).transpose(1, 0, 2)
+            X /= root
+            independent[:, scalars] = X
+            log_det += 2.0 * float(np.sum(np.log(s)))
+        return means, independent.reshape(means.shape), log_det
 
     def _means(self, Y: Array, weights: Array, c: int) -> tuple[Array, Array, Array]:
         """Average one channel's scalars over M cells: columns, (q, D, M), J, (d, D, M), and their number, (D, M).
@@ -332,24 +350,11 @@ class Stops:
     def _sums_of_products(self, left: Array, right: Array) -> Array:
         """Sum the products of columns, (a, D, M) and (b, D, M), over the scalars of each stop, (S, a, b)."""
         result = np.empty((len(self._first_cell), len(left), len(right)))
-        for stops, scalars in self._batches():
+        for stops, scalars in self._batches:
             of_left = left.reshape(len(left), -1)[:, scalars].transpose(1, 0, 2)
             of_right = right.reshape(len(right), -1)[:, scalars].transpose(1, 2, 0)
             result[stops] = of_left @ of_right
         return result
-
-    def _batches(self) -> Iterator[tuple[Integers, Integers]]:
-        """Yield stops with equal numbers of cells: their indices, (s,), and those of their scalars, (s, D k).
-
-        The latter are indices into (D, M), flat.
-        """
-        M = len(self._first_row)
-        sizes = np.diff(self._first_cell, append=M)
-        first_of_scalar = M * np.arange(self.J.shape[1])
-        for size in np.unique(sizes):
-            stops = np.flatnonzero(sizes == size)
-            cells = self._first_cell[stops, None] + np.arange(size)
-            yield stops, (cells[:, None] + first_of_scalar[:, None]).reshape(len(stops), -1)
 
     @property
     def _has_repeats(self) -> bool:

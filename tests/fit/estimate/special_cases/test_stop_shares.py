@@ -11,6 +11,7 @@ from calib.fit.estimate.special_cases.stop_shares import (
     Moments,
     _InverseCovariance,
     _shares_of,
+    extrapolated,
     unshared,
 )
 
@@ -98,3 +99,27 @@ def test_shares_leave_some_of_the_variance_independent():
     assert np.sum(shares) == pytest.approx(1.0 - 1e-6, rel=1e-12)
     assert shares[0] / shares[1] == pytest.approx(3.0)
     assert unshared(np.array([0.9, 0.3])) == 1e-6
+
+
+@pytest.mark.parametrize("ratio", [0.7, 0.3, -0.8])
+def test_rounds_that_shrink_by_one_ratio_are_extrapolated_to_their_limit(ratio):
+    """Two fits, of which the second approaches its limit from above."""
+    limit = np.array([[[0.4, 0.2, 0.0]], [[0.1, 0.3, 0.2]]])
+    away = np.array([[[-0.1, -0.05, 0.0]], [[0.05, 0.02, 0.04]]])
+    began = [limit + away, limit + ratio * away]
+    rounds = [(x, limit + ratio * (x - limit)) for x in began]
+    np.testing.assert_allclose(extrapolated(*rounds), limit, atol=1e-12)
+
+
+def test_an_extrapolation_leaves_shares_between_none_and_what_targets_need_for_themselves():
+    """Slow rounds point below zero, or beyond one; there the last round counts."""
+    fall = np.array([[[0.3, 0.02, 0.0]]])
+    step = np.array([0.0, 0.01, 0.0])
+    down = [(fall, fall - step), (fall - step, fall - 1.95 * step)]
+    assert extrapolated(*down)[0, 0].min() == 0.0
+    rise = np.array([[[0.8, 0.0, 0.0]]])
+    step = np.array([0.05, 0.0, 0.0])
+    up = [(rise, rise + step), (rise + step, rise + 1.9 * step)]
+    np.testing.assert_array_equal(extrapolated(*up), up[1][1])
+    still = np.zeros((1, 1, 3))
+    np.testing.assert_array_equal(extrapolated((still, still), (still, still)), still)
