@@ -267,7 +267,9 @@ class Rows:
             is_whole = count == len(self) and which.step in (None, 1)
         else:
             given = np.asarray(which)
-            numbers = np.flatnonzero(given) if given.dtype == bool else given
+            numbers: Integers = (
+                np.flatnonzero(given) if given.dtype == bool else given.astype(np.int_)
+            )
             is_whole = len(numbers) == len(self) and np.array_equal(numbers, np.arange(len(self)))
             chosen = numbers
         if is_whole:
