@@ -214,7 +214,7 @@ def extrapolation(fitted: Fitted) -> float:
             sums += np.sum(weights[outer] * squares), np.sum(weights[outer] * variances)
         return sums
 
-    beyond, expected = sum_over_blocks(of_block, len(rows)).tolist()
+    beyond, expected = map(float, sum_over_blocks(of_block, len(rows)))
     if not expected > 0.0:
         return 1.0
     return float(max(beyond / expected, 1.0))

@@ -128,8 +128,9 @@ def _norms_by_leverage(r: Array, K: Array, w: Array) -> Array:
     """
     # If a row determines a direction nearly alone, I - w K is nearly singular: then by the eigenvalues of K, none of
     # which counts for more than 1 / w.
-    almost_alone = ~(w * np.einsum("iin->n", K) < 1.0 - _CARRIED)
-    risky = np.flatnonzero(almost_alone | (K.max(axis=(0, 1)) > 1.0 / _CARRIED))
+    trace = np.einsum("iin->n", K)
+    almost_alone = ~(w * trace < 1.0 - _CARRIED)
+    risky = np.flatnonzero(almost_alone | (trace > 1.0 / _CARRIED))
     safe = K
     if len(risky):
         safe = K.copy()

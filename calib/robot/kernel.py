@@ -137,16 +137,18 @@ class Motion:
             bodies.append(directions.targets[0])
             numbers.append(n + 2)
         shares = []
-        has_share = np.zeros(directions.placements.shape[2], dtype=bool)
-        for body, twists_of_body in zip(numbers, bodies, strict=True):
-            moving = twists_of_body.any(axis=0)
-            again = moving & has_share
-            for chosen, adds in ((moving & ~again, False), (again, True)):
-                if chosen.any():
-                    which = np.flatnonzero(chosen)
+        moving = np.any(bodies, axis=1)
+        first = np.argmax(moving, axis=0)  # the first body of each parameter
+        for k, (body, twists_of_body) in enumerate(zip(numbers, bodies, strict=True)):
+            for chosen, adds in (
+                (moving[k] & (first == k), False),
+                (moving[k] & (first < k), True),
+            ):
+                which = np.flatnonzero(chosen)
+                if len(which):
                     of_these = np.ascontiguousarray(twists_of_body[:, which].T)
                     shares.append(_Share(body, _run(which), of_these, adds))
-            has_share |= moving
+        has_share = moving.any(axis=0)
         object.__setattr__(self, "_steps", _steps(geometry))
         object.__setattr__(self, "_shares", tuple(shares))
         object.__setattr__(self, "_others", np.flatnonzero(~has_share))

@@ -28,6 +28,10 @@ from calib.robot.kernel import over_blocks, sum_over_blocks
 #: Number of normal equations to cache; stages ask for the same ones again.
 _CACHED = 3
 
+#: The most weights of several fits that are cached with their equations (32 MB): folds of many rows are not asked for
+#: again.
+_MOST_CACHED = 2**22
+
 #: Divisor in place of zero.
 _TINY = 1e-300
 
@@ -222,17 +226,22 @@ class LinearProblem(Value):
                 unit = np.ones((1, len(self)))
                 of_fits.append(_products(independent, unit, of_channels, slice(None))[0])
             products = np.array(of_fits)
-        return self._keep(weights, stop_shares, products, log_det)
+        return self._keep(weights, stop_shares, products, log_det, of_channels)
 
     def _of_channels(self) -> list[Mask]:
         """The scalars of each channel, True in masks (D, N)."""
         return [np.equal(self.channels.index.T, c) for c in range(len(self.smallest_noise))]
 
     def _keep(
-        self, weights: Array, stop_shares: Array, products: Array, log_det: Array
+        self,
+        weights: Array,
+        stop_shares: Array,
+        products: Array,
+        log_det: Array,
+        of_channels: Sequence[Mask],
     ) -> tuple[Array, NormalEquations]:
         """Make normal equations of products (B, C, p + 1, p + 1), and cache both with what they are for."""
-        count = weights @ np.array([mask.sum(axis=0) for mask in self._of_channels()]).T
+        count = weights @ np.array([mask.sum(axis=0) for mask in of_channels]).T
         p = len(self.x)
         H = products[..., :p, :p]
         g = products[..., :p, p]
@@ -241,8 +250,9 @@ class LinearProblem(Value):
         yy = rr + (2.0 * g + Hx) @ self.x
         known = (self.C.T @ self.C, self.C.T @ self.z, float(self.z @ self.z))
         equations = NormalEquations(H, g + Hx, yy, count, known, self.held, log_det)
-        latest = (weights.copy(), stop_shares.copy(), (products, equations))
-        self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
+        if len(weights) == 1 or weights.size <= _MOST_CACHED:
+            latest = (weights.copy(), stop_shares.copy(), (products, equations))
+            self._cache[:] = [latest, *self._cache[: _CACHED - 1]]
         return products, equations
 
     def fit(
@@ -325,7 +335,8 @@ class LinearProblem(Value):
         products = sum_over_blocks(of_block, len(self))
         if not shared:
             unshared = np.zeros((len(self.smallest_noise), len(PARTS)))
-            self._keep(next_weights, unshared, products, np.zeros(len(weights)))
+            log_det = np.zeros(len(weights))
+            self._keep(next_weights, unshared, products, log_det, of_channels)
         return next_weights
 
     def _scorer(

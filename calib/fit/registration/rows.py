@@ -266,9 +266,12 @@ class Rows:
             count = len(range(*which.indices(len(self))))
             is_whole = count == len(self) and which.step in (None, 1)
         else:
-            places = np.asarray(which)
-            chosen = np.flatnonzero(places) if places.dtype == bool else places.astype(np.int_)
-            is_whole = len(chosen) == len(self) and np.array_equal(chosen, np.arange(len(self)))
+            given = np.asarray(which)
+            numbers: Integers = (
+                np.flatnonzero(given) if given.dtype == bool else given.astype(np.int_)
+            )
+            is_whole = len(numbers) == len(self) and np.array_equal(numbers, np.arange(len(self)))
+            chosen = numbers
         if is_whole:
             return self
         partner = self.partner[chosen]

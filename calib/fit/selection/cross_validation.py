@@ -32,7 +32,6 @@ from calib.fit.selection.folds import (
     held_out_residual,
     residual_after_registration,
     seen_only_by,
-    with_all_of_a_place,
 )
 from calib.numerics.errors import CrossValidation
 from calib.numerics.likelihood import GaussianPriors, diagonals
@@ -156,10 +155,9 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     folds = Folds.of_task(fitted.task, rows)
     means = fold_posterior_means(fitted, linear, folds.masks)
     standardised = np.zeros(rows.used.shape)
-    alone = with_all_of_a_place(rows, np.array(folds.masks))
-    for mask, x, is_alone in zip(folds.masks, means, alone, strict=True):
+    for mask, x in zip(folds.masks, means, strict=True):
         part = linear.select(mask)
-        unseen = seen_only_by(fitted, mask) if is_alone else np.zeros(len(x), dtype=bool)
+        unseen = seen_only_by(fitted, mask)
         if np.any(unseen):
             # Parameters that only these rows see are fitted to them; a row without weight must not move the frame.
             row, _ = np.nonzero(part.used)
@@ -200,25 +198,19 @@ def fold_posterior_means(
     (mean,), (covariance,) = of_all.posterior(noise, priors)
     means = np.empty((len(masks), len(mean)))
     is_small = np.sum(masks, axis=1) * linear.used.shape[1] < len(mean)
-    done = np.zeros(len(masks), dtype=bool)
     if np.any(is_small):  # then few rows are to be whitened
-        # With the whitened rows of the fold, x = x_all - C A^T (1 - A C A^T)^-1 r; folds of one size together.
         whiten = np.sqrt(problem.weights)[:, None] / linear.noise_by_scalar(noise)[0]
         A = linear.A * whiten[:, :, None]
         AC = A @ covariance
         r = linear.residual(mean) * whiten
-        sizes = np.sum(masks, axis=1)
-        for size in np.unique(sizes[is_small]).tolist():
-            chosen = np.flatnonzero(sizes == size)
-            rows = np.nonzero(masks[chosen])[1].reshape(-1, size)
-            A_folds, AC_folds = (M[rows].reshape(len(chosen), -1, len(mean)) for M in (A, AC))
-            left = np.eye(A_folds.shape[1]) - AC_folds @ A_folds.swapaxes(1, 2)
-            settled = np.linalg.eigvalsh(left)[:, 0] > _LEFT_TO_OTHERS
-            shares = np.linalg.solve(left[settled], r[rows[settled]].reshape(-1, left.shape[1], 1))
-            means[chosen[settled]] = mean - np.sum(shares * AC_folds[settled], axis=1)
-            done[chosen[settled]] = True
-    for k in np.flatnonzero(~done).tolist():
-        mask = masks[k]
+    for k, mask in enumerate(masks):
+        if is_small[k]:
+            # With the whitened rows of the fold, x = x_all - C A^T (1 - A C A^T)^-1 r.
+            A_fold, AC_fold = (M[mask].reshape(-1, len(mean)) for M in (A, AC))
+            left = np.eye(len(A_fold)) - AC_fold @ A_fold.T
+            if np.linalg.eigvalsh(left)[0] > _LEFT_TO_OTHERS:
+                means[k] = mean - np.linalg.solve(left, r[mask].ravel()) @ AC_fold
+                continue
         fold = linear.select(mask)
         of_fold = fold.normal_equations(problem.weights[None, mask], problem.stop_shares)
         of_others = of_all.without(of_fold)
@@ -267,20 +259,18 @@ def held_out_residuals_linear(
         k = numbers[i]
         mask, x = masks[k], estimates[i]
         steps = _STEPS_OF_MANY if _hardly_changes(fitted, held_out) else 0
-        is_linear = _is_linear(fitted, linear, x, mask)
+        is_linear, residual = _compared(fitted, linear, x, mask)
         while not is_linear and steps:
             # At the weights of the fit to all rows a fold takes few more steps, each on the problem linearised anew.
             linear_there = estimate.problem.linear(x)
             x = fold_posterior_means(fitted, linear_there, mask[None])[0]
-            is_linear = _is_linear(fitted, linear_there, x, mask)
+            is_linear, residual = _compared(fitted, linear_there, x, mask)
             steps -= 1
         within = np.all((x >= low) & (x <= high))
         if not within or not is_linear:
             continue
 
-        held_out_rows = rows.select(mask)
-        seen = fitted.kinematics.sightings(x, held_out_rows.samples)
-        residuals[k] = held_out_rows.residual(seen)
+        residuals[k] = residual
         if np.any(seen_only_by(fitted, mask)):
             # Frames and targets that only the fold sees are registered to its rows.
             without_fold = replace(fitted, estimate=replace(estimate, x=x))
@@ -288,22 +278,27 @@ def held_out_residuals_linear(
     return residuals
 
 
-def _is_linear(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> bool:
-    """Return whether a linear problem predicts what the robot itself does with parameters x, (p,), at the kept rows.
+def _compared(fitted: Fitted, linear: LinearProblem, x: Array, mask: Mask) -> tuple[bool, Array]:
+    """Return whether a linear problem predicts what the robot does with parameters x, (p,); and the fold's residual.
 
-    Kept are the rows with a weight outside of the fold, a mask (N,).
+    The latter is by the robot itself at the rows of the fold, a mask (N,). Compared are the others with a weight, of
+    many rows some.
     """
     problem = fitted.estimate.problem
     counts = ~mask & (fitted.estimate.weights > 0.0)
     some = problem.rows.evenly(ENOUGH)  # for one mean
     rows = problem.rows.select(some)
-    if not np.all(some):
+    residual = rows.residual(fitted.kinematics.sightings(x, rows.samples))
+    if np.all(some):
+        of_fold = residual[mask]
+    else:
         linear = linear.select(some)
-    by_robot = rows.residual(fitted.kinematics.sightings(x, rows.samples))
+        fold = problem.rows.select(mask)
+        of_fold = fold.residual(fitted.kinematics.sightings(x, fold.samples))
     by_linear = rows.in_units(linear.residual(x)[:, : rows.width])
     kept = rows.used & counts[some, None]
-    difference = ((by_linear - by_robot) / rows.scales_at(problem.noise))[kept]
-    return bool(np.sqrt(np.mean(difference**2)) < _LINEAR)
+    difference = ((by_linear - residual) / rows.scales_at(problem.noise))[kept]
+    return bool(np.sqrt(np.mean(difference**2)) < _LINEAR), of_fold
 
 
 def _hardly_changes(fitted: Fitted, masks: Mask) -> bool:
