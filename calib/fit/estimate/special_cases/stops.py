@@ -349,7 +349,7 @@ class Stops:
         to_G = (Q * roots) @ transposed(Q)  # symmetric
         J = J.reshape(len(J), -1)
         flat = columns.reshape(len(columns), -1)
-        log_det = float(np.sum(count)) * np.log(kappa)
+        log_det = float(np.sum(count) * np.log(kappa))
         for stops, scalars in self._batches:
             of_stops = to_G[stops] @ J[:, scalars].transpose(1, 0, 2)
             squares, Q = np.linalg.eigh(of_stops @ transposed(of_stops))
