@@ -3,7 +3,8 @@
     python scripts/try_wheel.py dist/robot_calib-0.1.0-py3-none-any.whl
 
 First without any extra: the five lines of the README; what an extra is needed for must say which one. Then with all
-extras: `calib demo`, and a picture of a robot whose meshes are .dae files.
+extras: `calib demo`. Then, if uv is installed, the small installation of docs/install.md: the demo, and a picture of a
+robot whose meshes are .dae files.
 """
 
 from __future__ import annotations
@@ -74,11 +75,23 @@ def main() -> None:
 
         run(*install, f"{wheel}[all]", folder=folder)
         run(calib, "demo", "--out", "demo", folder=folder)
-        drawn = run(calib, "view", "ur5", "-o", "ur5.html", folder=folder)
-        if "Not drawn" in drawn:
-            sys.exit(f"what reads meshes is not installed: {drawn}")
         written = sorted(path.name for path in (folder / "demo").iterdir())
         print(f"{wheel.name}: {packages} packages without extras; the demo wrote {written}")
+
+        uv = Path(sys.executable).with_name("uv")
+        if uv.exists():
+            page = Path(__file__).parents[1].joinpath("docs", "install.md").read_text("utf-8")
+            (folder / "overrides.txt").write_text(page.split("```text\n")[1].split("```")[0])
+            small = folder / "small" / programs.name
+            venv.create(small.parent)
+            install_small = (uv, "pip", "install", "--quiet", "--python", small / "python")
+            run(*install_small, "--override", "overrides.txt", f"{wheel}[report]", folder=folder)
+            run(small / "calib", "demo", "--out", "small-demo", folder=folder)
+            drawn = run(small / "calib", "view", "ur5", "-o", "ur5.html", folder=folder)
+            if "Not drawn" in drawn:
+                sys.exit(f"the small installation lacks what reads meshes: {drawn}")
+            counted = run(uv, "pip", "freeze", "--python", small / "python", folder=folder)
+            print(f"small installation: {len(counted.splitlines())} packages with 'report'")
 
 
 if __name__ == "__main__":

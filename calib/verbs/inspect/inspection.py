@@ -28,12 +28,16 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
+from calib.robot.other_reader import fault_by_yourdfpy
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
 
 #: The model that is inspected in place of ``"auto"``, and for a robot of several chains.
 _MODEL = "dh"
 _MODEL_OF_CHAINS = "placement"
+
+#: Poses at which another reader of the URDF is compared.
+_COMPARED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +56,8 @@ class Inspection:
     assumed: tuple[str, ...] = ()
     #: Pictures whose corners were numbered from the other end, see `Measurements.other_end`
     other_end: tuple[str, ...] = ()
+    #: What yourdfpy, another reader of the URDF, finds wrong with it; empty if it finds the same robot
+    fault_by_yourdfpy: str = ""
 
 
 def inspect(
@@ -111,6 +117,7 @@ def inspect(
         source=source,
         assumed=assumed,
         other_end=other_end,
+        fault_by_yourdfpy=fault_by_yourdfpy(arm, spread_poses(arm)[:_COMPARED]),
     )
 
 

@@ -59,7 +59,20 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
             expected += " calib plan finds better poses."
     # DH rows are of one chain.
     dh = () if robot.branches else _dh(robot)
-    blocks = (*_chain(robot), *dh, *_parameters(inspection), Paragraph(expected))
+    fault = inspection.fault_by_yourdfpy
+    reader = "yourdfpy, another reader of URDFs, finds the same poses in this file."
+    if fault:
+        reader = (
+            f"yourdfpy, another reader of URDFs, does not find this robot in the file ({fault}). Programs that are "
+            "built on it will not either."
+        )
+    blocks = (
+        *_chain(robot),
+        Bullets([reader], indent="  ", tight=True),
+        *dh,
+        *_parameters(inspection),
+        Paragraph(expected),
+    )
     return blocks_text(blocks)
 
 
