@@ -49,6 +49,9 @@ _NOTHING = 1e-13
 #: A pose with an error above this is not reached [m].
 _REACHED = 1e-9
 
+#: Joints that start at a limit start again so far inside of it [rad] or [m].
+_INSIDE = 0.01
+
 #: Damping after the first step that failed, relative to the largest singular value.
 _FIRST_DAMPING = 1e-3
 
@@ -197,18 +200,22 @@ def solve(
     values = arm.robot.input_values(start)
     found = _search(arm, T_wanted, values, matching, limits, pulled=is_redundant, steps=steps)
     if is_redundant:
-        # Next to a singularity the pull can be in the way of what can be reached: without it, some rows come nearer.
-        _, _, _, error = found
-        miss = np.linalg.norm(error, axis=1)
-        missed = np.flatnonzero(miss > _REACHED)
-        if len(missed):
-            goals, starts = T_wanted[missed], values[missed]
+        # Next to a singularity the pull can be in the way of what can be reached, and so can joints that start at their
+        # limits, which the first steps hold there: without either, some rows come nearer.
+        inside = np.clip(values, limits[:, 0] + _INSIDE, limits[:, 1] - _INSIDE)
+        for begin, pulled in ((values, False), (inside, True)):
+            _, _, _, error = found
+            miss = np.linalg.norm(error, axis=1)
+            missed = np.flatnonzero(miss > _REACHED)
+            if not len(missed):
+                break
+            goals, starts = T_wanted[missed], begin[missed]
             missed_arm = arm.at_rows(missed)
-            free = _search(missed_arm, goals, starts, matching, limits, pulled=False, steps=steps)
-            _, _, _, free_error = free
-            nearer = np.linalg.norm(free_error, axis=1) < miss[missed]
-            for rows, free_rows in zip(found, free, strict=True):
-                rows[missed[nearer]] = free_rows[nearer]
+            again = _search(missed_arm, goals, starts, matching, limits, pulled=pulled, steps=steps)
+            _, _, _, error_again = again
+            nearer = np.linalg.norm(error_again, axis=1) < miss[missed]
+            for rows, rows_again in zip(found, again, strict=True):
+                rows[missed[nearer]] = rows_again[nearer]
     q, T_base_tool, twists, _ = found
     return Solution(read_only(arm.robot.readings(q)), read_only(T_base_tool), read_only(twists))
 
