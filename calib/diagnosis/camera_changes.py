@@ -18,6 +18,7 @@ from calib.camera.optics import FOCAL
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import FEWEST_FREEDOM, PREDICTS, gain_on_blocks
+from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.late_joints import late_joints
 from calib.diagnosis.patterns import Explained, Step, drift, step
 from calib.diagnosis.picture_mistakes import Finding
@@ -52,8 +53,8 @@ def changes_between_pictures(robot: Robot, cell: Cell, table: Measurements) -> t
         table: N rows, in the order in which they were measured. None is examined unless all are images.
 
     Returns:
-        One finding, without rows, if joint values are late; else one a camera that changed, with the rows of those
-        pictures before or after it that are fewer.
+        One finding, without rows, if joint values are late, or nothing explains a noise that no camera has; else one a
+        camera that changed, with the rows of those pictures before or after it that are fewer.
     """
     places = np.flatnonzero(table.estimation)
     if not len(places) or not np.all(table.is_image):
@@ -82,7 +83,11 @@ def changes_between_pictures(robot: Robot, cell: Cell, table: Measurements) -> t
     for reason in late:
         if reason.values["falls"] > _CAUSE:
             return (Finding(reason, ()),)
-    return tuple(_changed_cameras(residuals, table, places))
+    found = tuple(_changed_cameras(residuals, table, places))
+    absurd = absurd_noise(fitted.estimate.sigma)
+    if not found and absurd is not None:  # larger models would take minutes, and mean as little
+        return (Finding(absurd, ()),)
+    return found
 
 
 def _changed_cameras(

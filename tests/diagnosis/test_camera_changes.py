@@ -68,3 +68,18 @@ def test_a_camera_that_was_refocused(seen: tuple[VirtualCell, Measurements]) -> 
     assert finding.reason.why is Why.CAMERA_REFOCUSED
     assert finding.reason.values["share"] == pytest.approx(0.01, rel=0.3)
     assert finding.reason.values["first"] == str(FIRST)
+
+
+@pytest.mark.slow
+def test_pictures_that_no_cause_explains_end_the_search(
+    seen: tuple[VirtualCell, Measurements],
+) -> None:
+    """Each picture has the joint values of some other: the noise is of hundreds of pixels."""
+    cell, table = seen
+    pictures = of_pictures(table)
+    first = np.array([int(np.argmax(pictures == k)) for k in range(COUNT)])
+    order = np.random.default_rng(3).permutation(COUNT)
+    mixed = replace(table, joints=table.joints[first[order]][pictures], moves=None)
+    (finding,) = changes_between_pictures(cell.truth.nominal, CELL, mixed)
+    assert finding.reason.why is Why.NOISE_ABSURD
+    assert finding.rows == ()
