@@ -53,8 +53,8 @@ def changes_between_pictures(robot: Robot, cell: Cell, table: Measurements) -> t
         table: N rows, in the order in which they were measured. None is examined unless all are images.
 
     Returns:
-        One finding, without rows, if joint values are late, or nothing explains a noise that no camera has; else one a
-        camera that changed, with the rows of those pictures before or after it that are fewer.
+        One finding, without rows, if joint values are late, or the noise is more than any camera's; else one a camera
+        that changed, with the rows of those pictures before or after it that are fewer.
     """
     places = np.flatnonzero(table.estimation)
     if not len(places) or not np.all(table.is_image):
@@ -83,11 +83,10 @@ def changes_between_pictures(robot: Robot, cell: Cell, table: Measurements) -> t
     for reason in late:
         if reason.values["falls"] > _CAUSE:
             return (Finding(reason, ()),)
-    found = tuple(_changed_cameras(residuals, table, places))
     absurd = absurd_noise(fitted.estimate.sigma)
-    if not found and absurd is not None:  # larger models would take minutes, and mean as little
+    if absurd is not None:  # larger models would take minutes, and mean as little
         return (Finding(absurd, ()),)
-    return found
+    return tuple(_changed_cameras(residuals, table, places))
 
 
 def _changed_cameras(
