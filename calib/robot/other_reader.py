@@ -41,10 +41,10 @@ def fault_by_yourdfpy(robot: Robot, q: Array) -> str:
         model = yourdfpy.URDF(parsed, **without_meshes)
         for chain in robot.chains:
             # yourdfpy slides by q times the axis as it is written, which may have any length.
-            lengths = [
-                np.linalg.norm(model.joint_map[joint.name].axis) if joint.type == "prismatic" else 1
-                for joint in chain.joints
-            ]
+            lengths = np.ones(len(chain.joints))
+            for i, joint in enumerate(chain.joints):
+                if joint.type == "prismatic":
+                    lengths[i] = np.linalg.norm(model.joint_map[joint.name].axis)
             for values, pose in zip(chain.chain_values(q) / lengths, chain.poses(q), strict=True):
                 names = (joint.name for joint in chain.joints)
                 model.update_cfg(dict(zip(names, values, strict=True)))

@@ -110,11 +110,12 @@ class LinearProblem(Value):
     def reduced_jacobian(self) -> Array:
         """Return the Jacobian of the measured scalars, shape (M, p); if columns are not kept, one of the same products.
 
-        The latter is R = S V^T, shape (p + 1, p), with [A r]^T [A r] = V S^2 V^T, of the last weights.
+        The latter is R = S V^T, shape (p + 1, p), with [A r]^T [A r] = V S^2 V^T.
         """
         if not isinstance(self.columns, ComputedColumns):
             return np.asarray(self.A[self.used])
-        _, _, (products, _) = self._cache[0]
+        unshared = np.zeros((len(self.smallest_noise), len(PARTS)))
+        products = self.products(np.ones((1, len(self))), unshared)
         values, vectors = np.linalg.eigh(products[0].sum(axis=0))
         return np.asarray((np.sqrt(np.maximum(values, 0.0)) * vectors).T[:, :-1])
 

@@ -24,6 +24,7 @@ independent too. "Whitened" is divided by sigma times noise, and times the root 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -216,8 +217,9 @@ class Problem(Value):
         Returns:
             Residual and Jacobian at x in units of each scalar's given sigma, and the constraints.
         """
-        if self._last and np.array_equal(x, self._last[0].x):
-            return self._last[0]
+        for last in self._last:
+            if np.array_equal(x, last.x):
+                return last
         self._last.clear()  # before the next one is made, for memory
         rows = self.rows
         if rows.samples.load is not None and not self.kinematics.model.depends_on_loads:
@@ -225,18 +227,7 @@ class Problem(Value):
         rotation = rows.depends_on_orientation
         shape = (self.size + 1, rows.width, len(rows))
 
-        def of_rows(part: slice | Integers) -> Array:
-            """The columns of some of the rows, (p + 1, D, n)."""
-            part_rows = rows.select(part)
-            seen = self.kinematics.linearised(x, part_rows.samples, rotation=rotation)
-            columns = np.empty((*shape[:2], len(part_rows)))
-            width = part_rows.width
-            columns[:, width:] = 0.0  # these rows lack a kind that others have
-            of_part = columns[:, :width].transpose(2, 1, 0)
-            part_rows.standardise(part_rows.derivative(seen), out=of_part[:, :, :-1])
-            of_part[:, :, -1] = part_rows.standardise(part_rows.residual(seen))
-            return columns
-
+        of_rows = partial(_columns, self.kinematics, rows, x.copy(), rotation)
         columns: Array | ComputedColumns
         if np.any(rows.partner >= 0):  # pairs stay together
             columns = of_rows(slice(0, len(rows)))
@@ -425,6 +416,24 @@ class Problem(Value):
             return values
         columns, _ = self.stops.independent(values.transpose(2, 1, 0), weights, self.stop_shares)
         return np.asarray(columns.transpose(2, 1, 0))
+
+
+def _columns(
+    kinematics: Kinematics, rows: Rows, x: Array, rotation: bool, part: slice | Integers
+) -> Array:
+    """The columns of some of N rows at x, (p + 1, D, n): Jacobian and residual in units of each scalar's given sigma.
+
+    With ``rotation`` some reading depends on the orientation of its target.
+    """
+    part_rows = rows.select(part)
+    seen = kinematics.linearised(x, part_rows.samples, rotation=rotation)
+    columns = np.empty((len(x) + 1, rows.width, len(part_rows)))
+    width = part_rows.width
+    columns[:, width:] = 0.0  # these rows lack a kind that others have
+    of_part = columns[:, :width].transpose(2, 1, 0)
+    part_rows.standardise(part_rows.derivative(seen), out=of_part[:, :, :-1])
+    of_part[:, :, -1] = part_rows.standardise(part_rows.residual(seen))
+    return columns
 
 
 def _smallest_noise(rows: Rows) -> tuple[float, ...]:

@@ -521,7 +521,9 @@ def run_stages(
             settled = _has_settled(before, after, weights_only=not by_likelihood)
             rounds = (before.stop_shares, after.stop_shares)
             if last is not None:
-                after = replace(after, stop_shares=extrapolated(last, rounds))
+                ahead = extrapolated(last, rounds)
+                ahead[settled] = after.stop_shares[settled]  # with the noise that belongs to them
+                after = replace(after, stop_shares=ahead)
             last = (rounds[0][~settled], rounds[1][~settled])
             linear, begun_at = linear_at(after), linear
             stage = stage.updated(moving, after)

@@ -293,6 +293,7 @@ def _fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool
         stops=None if problem.stops is None else problem.stops.drawn(counts),
         prior_mean=problem.prior_mean + prior_std * normal[: len(start)],
         distances=tuple(distances),
+        _last=[],  # of the stops that were measured, and the distances as given
     )
     size = steps(fitted.kinematics.model.units)
     solution = levenberg_marquardt(sample.system, start, step_size=size, step_tolerance=_STEP)

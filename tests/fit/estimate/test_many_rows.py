@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -60,6 +62,11 @@ def test_some_of_the_rows_lead_to_the_same_fit(ur3, monkeypatch):
     monkeypatch.setattr(solving, "_MANY", 500)
     monkeypatch.setattr(problem, "_MOST_KEPT", 0)
     by_some, _, _ = fitted_to(ur3, q, errors, 2)
+    again = pickle.loads(pickle.dumps(by_some))  # columns that are not kept go to other processes
+    x = by_some.estimate.x
+    np.testing.assert_array_equal(
+        again.estimate.problem.linear(x).residual(x), by_some.estimate.problem.linear(x).residual(x)
+    )
     std = np.sqrt(np.diag(whole.estimate.covariance))
     np.testing.assert_array_less(np.abs(by_some.estimate.x - whole.estimate.x), 0.05 * std)
     np.testing.assert_allclose(by_some.estimate.weights, whole.estimate.weights, atol=0.05)

@@ -15,6 +15,9 @@ from scipy.special import fdtri, stdtrit
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, ModelError
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Kinematics
 from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
@@ -24,11 +27,13 @@ from calib.robot.robot import Robot
 from calib.verbs.calibrate.uncertainty import (
     Bootstrap,
     _draws,
+    _fit_sample,
     bootstrap,
     bootstrap_counts,
     profile,
     profile_interval,
 )
+from tests.fits import joined
 
 TARGET = np.array([0.05, -0.06, 0.04])
 NOISE = 1e-4
@@ -318,3 +323,27 @@ def test_rows_and_priors_are_drawn_independently(calibrated):
     assert abs(normal.mean()) < 0.1
     assert normal.std() == pytest.approx(1.0, abs=0.1)
     assert normal[0, 0] != np.random.default_rng(3).normal()
+
+
+def test_a_draw_does_not_hang_on_what_was_computed_before(make_scene):
+    """Four targets at each of 80 stops that miss theirs: stops are drawn whole, in whatever process."""
+    scene = make_scene(4, frames=[np.eye(4)], targets=4, length=0.0, angle=0.0)
+    rng, q = np.random.default_rng(4), random_joint_values(scene.robot, 80, 4)
+    shift = 2e-4 * rng.normal(size=(80, 3))
+    tables = []
+    for target in range(4):
+        samples = scene.samples(80, 0, target, q)
+        points = scene.kinematics.points(scene.x, samples) + shift
+        points += 2e-5 * rng.normal(size=points.shape)
+        tables.append(scene._table(samples, "point", points=points))
+    rows, setup = rows_and_setup(scene.robot, joined(*tables), Cell())
+    found = fit(Task(scene.robot, Cell(), setup, "frames"), rows)
+    problem = found.estimate.problem
+    assert len(rows) > 256
+    assert np.any(problem.stop_shares)
+    (drawn,) = _draws(problem, 1, 5)
+    problem.linear(found.estimate.x)
+    after, _ = _fit_sample(found, drawn)
+    problem._last.clear()
+    fresh, _ = _fit_sample(found, drawn)
+    np.testing.assert_array_equal(after, fresh)
