@@ -48,10 +48,12 @@ _SINGULAR = 1e-6
 System = Callable[[Array], tuple[Array, Array]]
 
 
-#: After a step of a higher gain the next one is made longer.
+#: After a step of a higher gain the next one is made longer. A gain near 1 is that of a linear problem, where a longer
+#: step gains nothing; and plain steps of the gain g leave g - 1 of the way each, here a fifth.
 _SHORT = 1.2
 
-#: It is made longer by at most this factor.
+#: It is made longer by at most this factor: beyond it 2 - gain is below 0.05, where rounding and what the parabola
+#: lacks are as large. From a gain of 2 on, the parabola has no minimum.
 _LONGEST = 20.0
 
 

@@ -12,7 +12,7 @@ parameters is prepared once, in `Motion`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import parent_process
@@ -417,16 +417,26 @@ def over_blocks(work: Callable[[slice], T], count: int, *, in_threads: bool = Fa
     Returns:
         Its results, block by block, whatever the number of threads.
     """
-    blocks = [slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
-    if not in_threads or len(blocks) <= _FEW_BLOCKS or parent_process() is not None:
-        return [work(block) for block in blocks]
-    with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as threads:
-        return list(threads.map(work, blocks))
+    return list(_results_of_blocks(work, count, in_threads))
 
 
 def sum_over_blocks(work: Callable[[slice], Array], count: int) -> Array:
     """Return the sum of the arrays, of one shape, that a function returns for each block of samples, see `over_blocks`.
 
-    Blocks are added in their order.
+    Blocks are added in their order, each as soon as it is there.
     """
-    return np.asarray(np.sum(over_blocks(work, count, in_threads=True), axis=0))
+    results = _results_of_blocks(work, count, in_threads=True)
+    total = np.array(next(results, 0.0))
+    for result in results:
+        total += result
+    return total
+
+
+def _results_of_blocks(work: Callable[[slice], T], count: int, in_threads: bool) -> Iterator[T]:
+    """Yield what a function returns for each block of samples, see `over_blocks`."""
+    blocks = [slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
+    if not in_threads or len(blocks) <= _FEW_BLOCKS or parent_process() is not None:
+        yield from map(work, blocks)
+        return
+    with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as threads:
+        yield from threads.map(work, blocks)

@@ -107,6 +107,31 @@ def test_blocks_are_the_same_as_one(ur3, monkeypatch):
     np.testing.assert_allclose(again[1], twists, rtol=1e-13, atol=1e-15)
 
 
+@pytest.mark.parametrize("count", [0, 15, 95, 400])
+def test_sums_over_blocks_are_added_in_order(count, monkeypatch):
+    # 400 samples are 20 blocks, for which threads are used
+    monkeypatch.setattr(kernel, "BLOCK", 20)
+    values = np.random.default_rng(3).normal(size=(2, 3, count)) * 10.0 ** np.arange(3)[:, None]
+
+    def of_block(block):
+        return np.sum(values[:, :, block], axis=2)
+
+    stacked = np.array(kernel.over_blocks(of_block, count))
+    total = kernel.sum_over_blocks(of_block, count)
+    np.testing.assert_array_equal(total, np.sum(stacked, axis=0))
+    in_order = 0.0
+    for k in range(len(stacked)):
+        in_order = in_order + stacked[k]
+    np.testing.assert_array_equal(total, in_order)
+
+
+def test_sums_over_blocks_leave_what_a_block_returns(monkeypatch):
+    monkeypatch.setattr(kernel, "BLOCK", 20)
+    ones = np.ones(3)
+    np.testing.assert_array_equal(kernel.sum_over_blocks(lambda _: ones, 60), 3.0)
+    np.testing.assert_array_equal(ones, 1.0)
+
+
 def test_turns_take_z_to_any_axis():
     axes = np.random.default_rng(0).normal(size=(50, 3))
     axes = np.concatenate([axes, np.eye(3), -np.eye(3), [[1e-9, 0.0, -1.0]]])

@@ -141,7 +141,8 @@ class StageSolver:
         if self._linear is not None:
             x, moved = step_to_solution(self._linear, self._x)
             enough, self._enough = self._enough, _ROUGH
-            if moved <= enough:  # the linearisation is off by its square: by 1e-8 m and rad
+            # The linearisation is off by the square of the step: by 1e-8 m and rad, by 1e-6 from a similar fit.
+            if moved <= enough:
                 return self._linear
             if moved <= self._close:
                 # A step as short as this, or from a similar fit, needs no damping, if the next one confirms it.

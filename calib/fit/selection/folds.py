@@ -236,16 +236,6 @@ def residual_after_registration(
     return held_out_rows.residual(setup.sightings(T_base_tip, held_out_rows.samples))
 
 
-def with_all_of_a_place(rows: Rows, masks: Mask) -> Mask:
-    """Find the folds, (F,), that hold out all rows of some frame or target: F masks of N rows, (F, N)."""
-    result = np.zeros(len(masks), dtype=bool)
-    for labels in (rows.samples.frame, rows.samples.target):
-        of_label = labels[:, None] == np.unique(labels)
-        held_out = masks.astype(np.float64) @ of_label
-        result |= np.any(held_out == np.sum(of_label, axis=0), axis=1)
-    return result
-
-
 def seen_only_by(fitted: Fitted, chosen: Mask) -> Mask:
     """Find the parameters of frames and targets that only some rows see.
 

@@ -4,7 +4,7 @@ See `calib.fit.estimate.special_cases.stops` for stops and their covariance V = 
 the shares rho_t of translations, rho_r of rotations and rho_q of the joints.
 
 The shares are estimated from the residual r of generalised least squares, E[r r^T] = V - A C A^T, by equations that
-end where the restricted likelihood is highest (R. D. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch,
+end where the restricted likelihood is highest (T. W. Anderson, 1973; S. R. Searle, G. Casella, C. E. McCulloch,
 Variance Components, 1992): with the derivatives V_i of V by theta, which are noise^2 times kappa, rho_t, rho_r and
 rho_q,
 
@@ -51,12 +51,16 @@ _STEPS = 20
 #: Shares that change by less than this, relative to kappa, have settled.
 _SETTLED = 1e-4
 
-#: Shares are extrapolated by at most so many times what a round changed them by; rounds that overshoot go back by at
-#: most this part.
+#: Shares are extrapolated by at most so many times what a round changed them by: where each change is 0.91 of the last,
+#: that is all that is left. Of slower rounds two changes do not tell the limit; several extrapolations get there.
 _FARTHEST = 10.0
+
+#: Rounds that overshoot go back by at most this part of a change: the limit is there if each undoes the last one, and
+#: nearer to the latest round if they converge.
 _BACK = 0.5
 
-#: An extrapolation leaves at least this part of the share that the targets do not have in common.
+#: An extrapolation leaves at least this part of the share that the targets do not have in common: without it their
+#: covariance is singular. A choice: a smaller part takes fewer rounds to shares near 1, and overshoots more easily.
 _LEFT = 0.5
 
 #: Divisor in place of zero.
