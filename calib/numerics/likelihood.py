@@ -227,6 +227,7 @@ def _outer(scale: Array) -> Array:
 
 
 def diagonals(M: Array) -> Array:
-    """Return a view of the diagonals of contiguous matrices (B, p, p), shape (B, p): writing to it changes M."""
-    assert M.flags.c_contiguous, "a copy would be changed"
-    return M.reshape(len(M), -1)[:, :: M.shape[-1] + 1]
+    """Return a view of the diagonals of matrices (B, p, p), shape (B, p): writing to it changes M."""
+    if not M.flags.c_contiguous:
+        return np.asarray(np.einsum("bii->bi", M))
+    return M.reshape(len(M), -1)[:, :: M.shape[-1] + 1]  # in half the time

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calib.numerics.likelihood import GaussianPriors, pseudo_inverse
+from calib.numerics.likelihood import GaussianPriors, diagonals, pseudo_inverse
 from tests.numerics.linear_models import (
     FAMILIES,
     FLAT,
@@ -133,3 +133,11 @@ def test_without_some_rows_the_equations_are_those_of_the_others():
     expected = linearised(A[4:], y[4:], 2)
     for name in ("H", "g", "yy", "count"):
         np.testing.assert_allclose(getattr(others, name), getattr(expected, name), atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", [False, True])
+def test_diagonals_are_those_of_the_matrices_themselves(turn):
+    M = np.arange(18.0).reshape(2, 3, 3)
+    seen = M.transpose(0, 2, 1) if turn else M
+    diagonals(seen)[...] += 100.0
+    np.testing.assert_array_equal(M[:, [0, 1, 2], [0, 1, 2]], [[100, 104, 108], [109, 113, 117]])
