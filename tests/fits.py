@@ -229,6 +229,19 @@ def joined(*tables: Measurements) -> Measurements:
     )
 
 
+def table_of_missed_stops(scene, count: int, targets: int) -> Measurements:
+    """Targets of a scene at stops that the robot misses by ten times their own noise, all of a stop alike."""
+    rng, q = np.random.default_rng(4), random_joint_values(scene.robot, count, 4)
+    shift = 2e-4 * rng.normal(size=(count, 3))
+    tables = []
+    for target in range(targets):
+        samples = scene.samples(count, 0, target, q)
+        points = scene.kinematics.points(scene.x, samples) + shift
+        points += 2e-5 * rng.normal(size=points.shape)
+        tables.append(scene._table(samples, "point", points=points))
+    return joined(*tables)
+
+
 @pytest.fixture(scope="session")
 def join() -> Callable[..., Measurements]:
     return joined

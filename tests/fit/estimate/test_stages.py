@@ -17,9 +17,8 @@ from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Samples
 from calib.numerics.likelihood import GaussianPriors
-from calib.robot.ranges import random_joint_values
 from tests.fit.estimate.priors_of import prior_terms
-from tests.fits import joined
+from tests.fits import table_of_missed_stops
 
 
 def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
@@ -142,15 +141,8 @@ def test_rows_keep_their_weight_where_most_of_them_would_lose_it(virtual):
 def test_targets_of_a_stop_share_what_their_body_is_off_by(make_scene):
     """Two targets, displaced alike by ten times their own noise; of rounding nothing is shared."""
     scene = make_scene(4, frames=[np.eye(4)], targets=2, length=0.0, angle=0.0)
-    rng, q = np.random.default_rng(4), random_joint_values(scene.robot, 40, 4)
-    shift = 2e-4 * rng.normal(size=(40, 3))
-    tables = []
-    for target in range(2):
-        samples = scene.samples(40, 0, target, q)
-        points = scene.kinematics.points(scene.x, samples) + shift
-        points += 2e-5 * rng.normal(size=points.shape)
-        tables.append(scene._table(samples, "point", points=points))
-    rows, setup = rows_and_setup(scene.robot, joined(*tables), Cell())
+    table = table_of_missed_stops(scene, 40, 2)
+    rows, setup = rows_and_setup(scene.robot, table, Cell())
     found = fit(Task(scene.robot, Cell(), setup, "frames"), rows)
     linear = Problem.initial(found.kinematics, rows).linear(found.estimate.x)
     prior = PriorTerms.of(found.task, found.kinematics.model, found.setup)

@@ -33,7 +33,7 @@ from calib.verbs.calibrate.uncertainty import (
     profile,
     profile_interval,
 )
-from tests.fits import joined
+from tests.fits import table_of_missed_stops
 
 TARGET = np.array([0.05, -0.06, 0.04])
 NOISE = 1e-4
@@ -328,15 +328,8 @@ def test_rows_and_priors_are_drawn_independently(calibrated):
 def test_a_draw_does_not_hang_on_what_was_computed_before(make_scene):
     """Four targets at each of 80 stops that miss theirs: stops are drawn whole, in whatever process."""
     scene = make_scene(4, frames=[np.eye(4)], targets=4, length=0.0, angle=0.0)
-    rng, q = np.random.default_rng(4), random_joint_values(scene.robot, 80, 4)
-    shift = 2e-4 * rng.normal(size=(80, 3))
-    tables = []
-    for target in range(4):
-        samples = scene.samples(80, 0, target, q)
-        points = scene.kinematics.points(scene.x, samples) + shift
-        points += 2e-5 * rng.normal(size=points.shape)
-        tables.append(scene._table(samples, "point", points=points))
-    rows, setup = rows_and_setup(scene.robot, joined(*tables), Cell())
+    table = table_of_missed_stops(scene, 80, 4)
+    rows, setup = rows_and_setup(scene.robot, table, Cell())
     found = fit(Task(scene.robot, Cell(), setup, "frames"), rows)
     problem = found.estimate.problem
     assert len(rows) > 256
