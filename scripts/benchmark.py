@@ -31,15 +31,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmark_beside_peers import picture_rows, point_rows
 from benchmark_commands import COMMANDS, WRONG_BOARDS
 from benchmark_one import TARGET
 from benchmark_page import write_table
 from benchmark_ratios import measured_ratios
-from benchmark_rivals import picture_rows, point_rows
-from studies import core_count, print_table, show_progress, study_parser
+from studies import print_table, show_progress, study_parser
 from trials import Task, run_trials
 from wrong_inputs import write_wrong_inputs
 
+from calib.basics.jobs import core_count
 from calib.data.cell import Cell
 from calib.example import paper_urdf
 from calib.robot.robot import Robot
@@ -156,7 +157,7 @@ def wall(command: Sequence[str]) -> float:
 def wrong_rows(chosen: re.Pattern[str]) -> Iterator[list[str]]:
     """Yield the rows of wrong inputs whose names fit a pattern: time, and whether the cause is named."""
     with tempfile.TemporaryDirectory() as folder:
-        inputs = [one for one in write_wrong_inputs(Path(folder)) if chosen.search(one.name)]
+        inputs = list(write_wrong_inputs(Path(folder), lambda name: bool(chosen.search(name))))
         for wrong in show_progress(inputs, "wrong inputs"):
             run = run_once(wrong.arguments, wrong.folder)
             time_, memory, goes = run.texts()

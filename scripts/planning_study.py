@@ -15,10 +15,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from studies import core_count, print_table, process_pool, study_parser
+from studies import print_table, process_pool, study_parser
 from trials import Task, Trials, run_trials
 
 from calib.basics.arrays import Array
+from calib.basics.jobs import core_count
 from calib.data.cell import Box, Cell, Reflector, Tracker
 from calib.data.measurements import Measurements
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from calib.basics.arrays import Array
+from calib.basics.jobs import core_count
 from calib.diagnosis.reasons import Verdict
 from calib.model.error_model import ErrorModel
 from calib.result.calibration import Calibration
@@ -125,11 +126,6 @@ def verdict_text(result: Calibration) -> str:
 
 
 # Jobs
-
-
-def core_count() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def show_progress(items: Iterable[Item], label: str, count: int | None = None) -> Iterator[Item]:

@@ -1,8 +1,8 @@
 """Wrong inputs as a user gives them: a folder for each, with the command, and the cause that it has to name.
 
-    python scripts/wrong_inputs.py FOLDER                          write them all, and print the commands
+    python scripts/wrong_inputs.py FOLDER                          write them, and print the commands
     python scripts/wrong_inputs.py FOLDER --run                    run them too: seconds, and what was named
-    python scripts/wrong_inputs.py FOLDER --run --only "joint,camera"
+    python scripts/wrong_inputs.py FOLDER --run --only "joint,camera"    those with one of these words in their names
 
 Tables: a UR5 with typical errors at 30 poses, points or poses to 0.05 mm, in a known or an unknown measurement frame.
 Pictures: a Panda with a camera on its hand, 24 pictures of a print of 7 x 5 squares (24 corners), to 0.3 px.
@@ -126,9 +126,11 @@ def _on_earlier_link(robot: Robot, link: str, kind: str, *, free: bool) -> Measu
     return replace(table, joint_names=robot.joint_names, joints=q, moves=None)
 
 
-def _wrong_tables(folder: Path) -> Iterator[WrongInput]:
-    """Write the tables of points and poses, each with its robot and cell file."""
+def _wrong_tables(folder: Path, is_wanted: Callable[[str], bool]) -> Iterator[WrongInput]:
+    """Write the tables of points and poses that are wanted, each with its robot and cell file."""
     for name, kind, free in OF_TABLES:
+        if not is_wanted(name):
+            continue
         mistake = MISTAKES[name]
         place = _new_folder(folder, name)
         robot = load_arm("ur5")
@@ -139,6 +141,8 @@ def _wrong_tables(folder: Path) -> Iterator[WrongInput]:
         expected = mistake.unknown_code if free and mistake.unknown_code else mistake.code
         yield WrongInput(name, place, (*command, *_OUTPUTS), REFUSED.get(name, expected))
     assert TWO in MORE_MISTAKES
+    if not is_wanted(TWO):
+        return
     place = _new_folder(folder, TWO)
     robot, _, spoilt = spoilt_table(TWO, "point", 200, free=True)
     command = _table_command(robot, spoilt.table, place, free=True)
@@ -210,18 +214,24 @@ OF_SETUPS: dict[str, tuple[Callable[[Measurements], _Setup], str]] = {
 }
 
 
-def _wrong_pictures(folder: Path) -> Iterator[WrongInput]:
-    """Write the tables of corners, each with its robot, camera and board."""
+def _wrong_pictures(folder: Path, is_wanted: Callable[[str], bool]) -> Iterator[WrongInput]:
+    """Write the tables of corners that are wanted, each with its robot, camera and board."""
+    prefix = "pictures: "
+    of_pictures_wanted = [name for name in OF_PICTURES if is_wanted(prefix + name)]
+    of_setups_wanted = [name for name in OF_SETUPS if is_wanted(prefix + name)]
+    if not of_pictures_wanted and not of_setups_wanted:
+        return
     cell = draw(*ARMS[0], SEED)
     q = cell.poses(PICTURES, SEED)
     right = of_pictures.Drawn(cell, q, SEED, np.random.default_rng(SEED))
     setups = {}
-    for name, code in OF_PICTURES.items():
+    for name in of_pictures_wanted:
         random = np.random.default_rng([SEED, *name.encode()])
         change, _ = of_pictures.MISTAKES[name]
-        setups[f"pictures: {name}"] = _Setup(change(replace(right, random=random))), code
-    for name, (setup_of, code) in OF_SETUPS.items():
-        setups[f"pictures: {name}"] = setup_of(right.table()), code
+        setups[prefix + name] = _Setup(change(replace(right, random=random))), OF_PICTURES[name]
+    for name in of_setups_wanted:
+        setup_of, code = OF_SETUPS[name]
+        setups[prefix + name] = setup_of(right.table()), code
     for name, (setup, code) in setups.items():
         place = _new_folder(folder, name)
         setup.table.write(place / "corners.csv", overwrite=True)
@@ -245,17 +255,18 @@ def _new_folder(folder: Path, name: str) -> Path:
     return place
 
 
-def write_wrong_inputs(folder: Path) -> Iterator[WrongInput]:
+def write_wrong_inputs(folder: Path, is_wanted: Callable[[str], bool]) -> Iterator[WrongInput]:
     """Write wrong inputs, each into a folder of its own.
 
     Args:
         folder: The folder of these folders.
+        is_wanted: Function of a name: whether the input of this name is written.
 
     Yields:
         Each after it was written: its folder, the command, and what names its cause.
     """
-    yield from _wrong_tables(folder)
-    yield from _wrong_pictures(folder)
+    yield from _wrong_tables(folder, is_wanted)
+    yield from _wrong_pictures(folder, is_wanted)
 
 
 def run(wrong: WrongInput) -> tuple[float, str]:
@@ -277,9 +288,9 @@ def main() -> None:
     parser.add_argument("--run", action="store_true", help="run the commands")
     parser.add_argument("--only", default="", help="those with one of these words, by commas")
     arguments = parser.parse_args()
-    for wrong in write_wrong_inputs(arguments.folder):
-        if not any(word in wrong.name for word in arguments.only.split(",")):
-            continue
+    words = arguments.only.split(",")
+    wanted = write_wrong_inputs(arguments.folder, lambda name: any(word in name for word in words))
+    for wrong in wanted:
         if not arguments.run:
             print(f"cd {shlex.quote(str(wrong.folder))} && calib {shlex.join(wrong.arguments)}")
             continue

@@ -8,6 +8,7 @@ Within a job linear algebra takes one thread, see `one_blas_thread`.
 
 from __future__ import annotations
 
+import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
@@ -80,6 +81,13 @@ def run(
     finally:
         for future in pending:
             future.cancel()
+
+
+def core_count() -> int:
+    """Return the number of cores that this process may use: those that it is bound to, where the system tells."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def batch_size(count: int, largest: int = 50) -> int:

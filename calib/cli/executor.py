@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from calib.basics.jobs import core_count
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
@@ -45,10 +45,7 @@ def executor_of(
         with _dask_executor(dask) as cluster:
             yield cluster
         return
-    cores = os.cpu_count() or 1
-    if hasattr(os, "sched_getaffinity"):
-        cores = len(os.sched_getaffinity(0))
-    processes = min(workers or default or cores, count)
+    processes = min(workers or default or core_count(), count)
     if processes < 2:
         yield None
         return

@@ -55,6 +55,12 @@ WORK = {
     Stage.WRITING: "writing",
 }
 
+#: Stages that try an unknown number of models or mistakes, which are numbered.
+_NUMBERED = (Stage.MISTAKES, Stage.MODELS)
+
+#: Columns of a terminal below which the line says less.
+_NARROW = 60
+
 #: The first columns of a table of robots hold words, the others numbers.
 _WORD_COLUMNS = 4
 
@@ -80,8 +86,7 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
         >>> list(styled("Verdict: use\n  It is better."))
         [('Verdict: use', 'bold green'), ('  It is better.', '')]
     """
-    visible = _CONTROLS.sub(lambda control: repr(control[0])[1:-1], text)
-    lines = visible.split("\n")
+    lines = _visible(text).split("\n")
     for line, following in zip(lines, [*lines[1:], ""], strict=True):
         is_underlined = len(following) >= len(line.rstrip()) > 0 and _RULE.match(following)
         if line.startswith("Verdict: "):
@@ -91,6 +96,11 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
             yield line, "bold"
         else:
             yield line, "dim" if _RULE.match(line) else ""
+
+
+def _visible(text: str) -> str:
+    """Return a text with control characters as escapes."""
+    return _CONTROLS.sub(lambda control: repr(control[0])[1:-1], text)
 
 
 def say_table(title: str, heads: list[str], rows: list[list[str]]) -> None:
@@ -208,7 +218,8 @@ def work_line(*, quiet: bool) -> Iterator[None]:
     """Show in one line on stderr what the work in the block does, see `calib.basics.progress`.
 
     The line has the stage, a bar if the number of its parts is known, what is tried, the time that is left of the
-    stage, and the time since the beginning. It is gone at the end.
+    stage, and the time since the beginning. Where the terminal is narrow, the bar and what is tried are shortened. It
+    is gone at the end.
 
     Args:
         quiet: Whether no line is wanted; nor is there one if stderr is not a terminal.
@@ -221,8 +232,19 @@ def work_line(*, quiet: bool) -> Iterator[None]:
     from rich.table import Column
     from rich.text import Text
 
+    console = Console(stderr=True)
     began = time.monotonic()
-    pace, tried = Pace(began), 0
+    pace, now_in, tried = Pace(began), Stage.READING, 0
+
+    class Tried(ProgressColumn):
+        """What is tried, in one line."""
+
+        def render(self, task: Task) -> Text:
+            """Return the text, which ends in an ellipsis if there is no room for it."""
+            overflow: Literal["crop", "ellipsis"] = "ellipsis"
+            if console.options.ascii_only:
+                overflow = "crop"
+            return Text(task.fields["what"], no_wrap=True, overflow=overflow)
 
     class Times(ProgressColumn):
         """The time that is left of the stage, if it is known, and the time since the beginning."""
@@ -232,29 +254,34 @@ def work_line(*, quiet: bool) -> Iterator[None]:
             now = time.monotonic()
             left = pace.left(now)
             since = f"{now - began:.0f} s"
-            return Text(since if left is None else f"{left:.0f} s left, {since}")
+            if console.width >= _NARROW:
+                since += " so far"
+            return Text(since if left is None else f"stage: {left:.0f} s left | {since}")
 
+    # Columns that may wrap are shortened first: the bar, and what is tried, which does not wrap itself.
+    spinner = "line" if console.options.ascii_only else "dots"
     columns = (
-        SpinnerColumn(),
+        SpinnerColumn(spinner, table_column=Column(no_wrap=True)),
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=20),
-        TextColumn("{task.fields[what]}", markup=False, table_column=Column(no_wrap=True)),
-        Times(),
+        Tried(),
+        Times(table_column=Column(no_wrap=True)),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         line = bar.add_task("", total=None, what="")
 
         def show(stage: Stage | None, what: str, done: int, of: int) -> None:
             """Show what is said."""
-            nonlocal pace, tried
+            nonlocal pace, now_in, tried
             now = time.monotonic()
             if stage is not None:
-                pace, tried = Pace(now), 0
+                pace, now_in, tried = Pace(now), stage, 0
                 bar.reset(line, total=None, description=WORK[stage], what="")
                 bar.refresh()
             if what:
                 tried += 1
-                bar.update(line, what=f"{tried}: {what}")
+                shown = _visible(what)
+                bar.update(line, what=f"{tried}: {shown}" if now_in in _NUMBERED else shown)
             if of:
                 pace.count(done, of, now)
                 bar.update(line, completed=done, total=of)

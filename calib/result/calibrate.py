@@ -135,10 +135,13 @@ def calibrate(
         patterns = tuple(patterns_in_table(fits.best, measured))
         drift = _found_drift(patterns, measured, fits)
     if drift is not None:
+        begin(Stage.MISTAKES)
         measured = _without_drift(measured, drift)
         fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
         patterns = None  # of the table before
 
+    if fits.mistake or not validate:
+        begin(Stage.VERDICT)
     if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
         return _with_verdict_against(_assemble(measured, fits), fits.mistake)
     if not validate:
@@ -289,10 +292,11 @@ def _assemble_validated(
         if confirmed is not chosen:  # the patterns are of another fit
             patterns = None
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
-    if patterns is None:
-        patterns = tuple(patterns_in_table(fits.best, measurements))
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
 
+    begin(Stage.VERDICT)
+    if patterns is None:
+        patterns = tuple(patterns_in_table(fits.best, measurements))
     result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
     return add_verdicts(result, fits.fitted_rows, patterns, found)
 
@@ -305,7 +309,6 @@ def _assemble(
     of_nominal: CrossValidation | None = None,
 ) -> Calibration:
     """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts."""
-    begin(Stage.VERDICT)
     m, fitted, all_rows = measurements, fits.geometry, fits.all_rows
     task, estimate = fitted.task, fitted.estimate
     robot, cell = task.robot, task.cell

@@ -10,7 +10,6 @@ from itertools import compress
 import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.progress import Stage, begin
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import FEWEST_FREEDOM, thin
 from calib.diagnosis.computed import ROUNDING_NOISE, computed_measurements
@@ -131,7 +130,6 @@ def patterns_in_table(fitted: Fitted, measurements: Measurements) -> Iterator[Re
     Yields:
         A reason for each pattern.
     """
-    begin(Stage.VERDICT)
     few, chosen = thin(fitted)
     in_table = np.flatnonzero(measurements.estimation)[chosen]
     moves = measurements.moves_for(fitted.task.robot.joint_names)[in_table]

@@ -11,7 +11,6 @@ parameters is prepared once, in `Motion`.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.basics.arrays import Array
+from calib.basics.jobs import core_count
 
 Numbers = NDArray[np.int_]
 
@@ -390,8 +390,9 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
 
 T = TypeVar("T")
 
-# The C library gives large blocks back to the system at once, and clearing their pages anew takes longer than a fit,
-# until it has seen a block of up to 32 MB freed: then it keeps as much for the next. This one is never written to.
+# The C library glibc (Linux) gives large blocks back to the system at once, and clearing their pages anew takes longer
+# than a fit, until it has seen a block of up to 32 MB freed: then it keeps as much for the next. This one is never
+# written to. With other C libraries it has no effect.
 np.empty(2**25 - 2**16, dtype=np.uint8)
 
 #: Samples of one block: with fewer, NumPy's calls take longer than the arithmetic; what more need leaves the cache.
@@ -438,5 +439,5 @@ def _results_of_blocks(work: Callable[[slice], T], count: int, in_threads: bool)
     if not in_threads or len(blocks) <= _FEW_BLOCKS or parent_process() is not None:
         yield from map(work, blocks)
         return
-    with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as threads:
+    with ThreadPoolExecutor(min(_THREADS, core_count())) as threads:
         yield from threads.map(work, blocks)

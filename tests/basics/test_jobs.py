@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import os
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.basics.jobs import batch_size, one_blas_thread, run
+from calib.basics.jobs import batch_size, core_count, one_blas_thread, run
 from calib.errors import CalibError
 
 
@@ -22,6 +23,16 @@ def test_an_executor_gives_every_result_with_its_number(batch):
     with ThreadPoolExecutor(2) as executor:
         results = dict(run(product, 2, range(10), executor, batch=batch))
     assert results == {k: 2 * k for k in range(10)}
+
+
+def test_cores_are_those_that_the_process_is_bound_to(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5}, raising=False)
+    assert core_count() == 2
+    monkeypatch.delattr(os, "sched_getaffinity")  # as elsewhere than on Linux
+    monkeypatch.setattr(os, "cpu_count", lambda: 7)
+    assert core_count() == 7
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert core_count() == 1
 
 
 class Killed(ThreadPoolExecutor):

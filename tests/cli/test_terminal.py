@@ -130,12 +130,41 @@ with work_line(quiet=QUIET):
 def test_a_line_says_what_is_done():
     seen = on_a_terminal(WORKING.replace("QUIET", "False"), COLUMNS="100")
     line = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", seen)
-    for words in ("models", "2: dh+gain [x]", "cross-validation", "0 s left", "residuals and"):
+    for words in ("models", "2: dh+gain [x]", "cross-validation", "stage: 0 s left | ", "so far"):
         assert words in line
+    assert "residuals and verdict" in line
     models, folds = line.split("cross-validation", 1)
     assert "left" not in models  # the number of models is not known
     assert "dh+gain" not in folds
     assert on_a_terminal(WORKING.replace("QUIET", "True")) == ""
+
+
+LONG = """
+import time
+from calib.basics.progress import Stage, begin, counted, trying
+from calib.cli.terminal import work_line
+with work_line(quiet=False):
+    begin(Stage.READING); trying("table\\x1b[31m.csv"); time.sleep(0.2)
+    begin(Stage.MODELS); trying("placement+gain+eccentricity+compliance+gravity"); time.sleep(0.2)
+    begin(Stage.FOLDS); counted(0, 60); time.sleep(0.1); counted(1, 60); time.sleep(0.2)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("columns", [50, 80, 120])
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_it_is_one_line_in_any_terminal(columns, encoding):
+    seen = on_a_terminal(LONG, COLUMNS=str(columns), PYTHONIOENCODING=encoding)
+    assert seen.count("\n") == 1  # at its end, where it is taken away
+    assert seen.isascii() == (encoding == "ascii")
+    lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", seen))
+    assert max(map(len, lines)) <= columns
+    for shown in (
+        r"reading .* table\\x1b\[31m\.csv \d s",
+        r"models .* 1: placement.* \d s",
+        r"cross-validation .* stage: \d+ s left \| \d s",
+    ):
+        assert any(re.search(shown, line) for line in lines), shown
 
 
 def test_pace():

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import rigid_inverse
+from calib.basics.progress import Stage, watching
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Why
@@ -69,6 +70,23 @@ def test_the_stated_noise_is_that_of_fitted_rows(ur3, table, by_cell, by_row, st
     )
     found = calibrate(ur3, four, cell=Cell(model="zeros", sigma=by_cell), validate=False)
     assert found.noise.sigma_given == pytest.approx(stated)
+
+
+def test_stages_follow_one_another_and_name_what_they_try(ur3, table, paper_cell):
+    stages: list[Stage] = []
+    tried: dict[Stage, list[str]] = {}
+
+    def hear(stage: Stage | None, what: str, *_: int) -> None:
+        if stage is not None:
+            stages.append(stage)
+        if what:
+            tried.setdefault(stages[-1], []).append(what)
+
+    with watching(hear):
+        result = calibrate(ur3, table, cell=replace(paper_cell, model="auto"))
+    assert stages == [Stage.MISTAKES, Stage.MODELS, Stage.FOLDS, Stage.VERDICT]
+    assert tried.keys() == {Stage.MODELS}  # the table is right: no mistake is looked for
+    assert {candidate.name for candidate in result.method.candidates} <= set(tried[Stage.MODELS])
 
 
 def test_nominal_positions_agree_with_the_papers_table_3(default_result, table):

@@ -14,7 +14,6 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.jobs import one_blas_thread
-from calib.basics.progress import trying
 from calib.basics.values import Value
 from calib.errors import MeasurementError, ModelError
 from calib.fit.estimate.estimate import Estimate
@@ -212,7 +211,6 @@ def fit(
         registered = reference.setup
     task.check_solver()
     model = task.error_model()
-    trying(model.name)
     if task.cell.priors.source == "off" and rows.count < len(model):
         raise MeasurementError(
             f"{rows.count} numbers for {len(model)} parameters, and priors are off. Measure more poses, or choose a "

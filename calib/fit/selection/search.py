@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from calib.basics.arrays import Array, Mask
+from calib.basics.progress import trying
 from calib.errors import MeasurementError
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
@@ -234,6 +235,7 @@ class Search:
         if name in self.tried:
             return True
         task = replace(self.task, model=name)
+        trying(name)
         try:
             fitted = fit(
                 task,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Mask, read_only
+from calib.basics.progress import trying
 from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
@@ -93,6 +94,7 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
         usual = tuple(family for family in families if not family_of(family).rarity)
         largest = model_name(tuple(geometries)[-1], usual)
 
+    trying(largest)
     reference = fit(replace(task, model=largest), few_rows)
     start = without_vanished_families(largest, reference.estimate.prior_std)
     fitted_rows = reference.estimate.problem.rows
@@ -105,6 +107,7 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
         geometry = search.best_geometry()
         best = search.best_non_geometric(highest, geometry)
         best_task = replace(search_task, model=best)
+        trying(best)
         chosen = fit(best_task, search_rows, registered=search.reference.setup)
         if explains_more_rows(search.reference, chosen):
             chosen = fit(best_task, search_rows, reference=search.reference)
@@ -125,6 +128,7 @@ def select(task: Task, rows: Rows, excluded: tuple[str, ...] = ()) -> Selection:
         whole_task = replace(best_task, setup=task.setup)
         # With internals of points, the whole fit is so large that it begins where the search has come to.
         near = () if search_task is task else (chosen, reference)
+        trying(best)
         chosen = fit(whole_task, rows, registered=reference.setup, near=near)
     return Selection(geometry, non_geometric, candidates, chosen)
 

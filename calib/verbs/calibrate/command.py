@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -137,12 +137,12 @@ class Outputs:
         if self.view is not None:
             from calib.verbs.view.robots_page import write_page
 
-            trying(str(self.view))
+            trying(self.view.name)
             yield write_page(result, self.view, overwrite=self.force, accepted=self.accept)
         if self.report is not None:
             from calib.verbs.calibrate.report import write_report
 
-            trying(str(self.report))
+            trying(self.report.name)
             command = command_line()
             yield write_report(result, self.report, command=command, overwrite=self.force)
         if self.figures is not None:
@@ -285,7 +285,7 @@ def calibrate(
         begin(Stage.READING)
         cell = cell_options.cell()
         solver_options.check()
-        trying(str(data))
+        trying(data.name)
         arm, measurements = load_with_data(robot, cell, data, table_options)
 
         from calib.result.calibrate import calibrate as calibrate_robot
@@ -302,7 +302,11 @@ def calibrate(
         interval_texts, tables = intervals.compute(result, executor)
         # Files first: a reader of the text that goes away (head, less) must not cost the results.
         begin(Stage.WRITING)
-        written = list(outputs.write(result, tables))
+        written: list[Path | str] = []
+        try:
+            written.extend(outputs.write(result, tables))  # an interruption keeps those before it
+        except KeyboardInterrupt as error:
+            raise KeyboardInterrupt(_kept_text(written)) from error
     if not quiet:
         say_ignored(measurements, arm)
         say_unused_camera(measurements, cell)
@@ -326,3 +330,8 @@ def calibrate(
     if outputs.output.exists():
         message += f" '{outputs.output}' is an earlier one."
     raise VerdictError(message)
+
+
+def _kept_text(written: Sequence[Path | str]) -> str:
+    """Say which files were written before an interruption; empty if there are none."""
+    return f"Written before: {', '.join(map(str, written))}." if written else ""

@@ -93,6 +93,8 @@ def fleet(
             executor_of(job_options.workers, job_options.dask, len(robots)) as executor,
             progress_bar("robots", quiet=quiet) as progress,
         ):
+            if progress is not None:
+                progress(0, len(robots))
             calibrated = run_fleet(
                 robots, out, options, executor=executor, progress=progress, force=force
             )

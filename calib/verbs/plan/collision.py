@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from numpy.typing import ArrayLike
 from pinocchio import hppfcl
 
 from calib.basics.arrays import Array, Integers, Mask
+from calib.basics.jobs import core_count
 from calib.data.cell import Box
 from calib.robot.full_model import full_configurations, full_model, link_frame
 from calib.robot.ranges import spread_poses
@@ -66,7 +66,7 @@ ALWAYS = 0.95
 _BLOCK = 1024
 
 #: The processor's cores that compare them; more hardly help, as each needs a copy of the robot.
-_CORES = min(os.cpu_count() or 1, 8)
+_CORES = min(core_count(), 8)
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,6 +66,24 @@ def same_errors(evaluated: Any, result: Any) -> None:
             assert evaluated[rows][key] == pytest.approx(value, abs=1e-9, rel=0)
 
 
+def test_ctrl_c_while_files_are_written_says_which_are(call, shop, monkeypatch):
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("calib.verbs.calibrate.report.write_report", interrupted)
+    words = ("robot.urdf", "data.csv", "--base", "base", "--model", "zeros", "--no-validate")
+    outputs = ("-o", "c.urdf", "--json", "r.json", "--report", "r.html")
+    done = call(shop, "calibrate", *words, *outputs)
+    assert (done.code, done.out) == (130, "")
+    assert done.err == (
+        "calib: interrupted; no file was left half written. Written before: c.urdf, r.json.\n"
+    )
+    assert (shop / "c.urdf").exists()
+    assert (shop / "r.json").exists()
+    none = call(shop, "calibrate", *words, "--report", "r.html")
+    assert none.err == "calib: interrupted; no file was left half written.\n"
+
+
 def test_a_wrong_base_is_named_and_no_urdf_is_written(call, shop):
     done = call(shop, "fit", "robot.urdf", "data.csv", "-o", "c.urdf", "--model", "zeros")
     assert done.code == 3

@@ -6,6 +6,8 @@ import csv
 import json
 import re
 import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,18 @@ def arms_shop(tmp_path: Path, ur3) -> Path:
 
 def manifest(folder: Path, *rows: str, header: str = "name,robot,data") -> None:
     (folder / "m.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+
+
+def test_its_bar_is_there_before_the_first_robot_is_done(call, arms_shop: Path, monkeypatch):
+    counts: list[tuple[int, int]] = []
+
+    @contextmanager
+    def bar(*_: str, **__: bool) -> Iterator[Callable[[int, int], None]]:
+        yield lambda *count: counts.append(count)
+
+    monkeypatch.setattr("calib.verbs.fleet.command.progress_bar", bar)
+    assert call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK).code == 0
+    assert counts == [(k, 6) for k in range(7)]
 
 
 @pytest.mark.slow
