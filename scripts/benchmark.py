@@ -122,8 +122,9 @@ def run_once(arguments: Sequence[str], folder: Path) -> Run:
             time.sleep(0.002)
         printed.seek(0)
         text = printed.read()
-    stages = json.loads(output.read_text(encoding="utf-8")) if output.exists() else {}
-    return Run(seconds, used.ru_maxrss / 1e3, stages if seconds <= PATIENCE else {}, text)
+    figures = json.loads(output.read_text(encoding="utf-8")) if output.exists() else {}
+    stages = figures.get("stages", {}) if seconds <= PATIENCE else {}
+    return Run(seconds, figures.get("megabytes", used.ru_maxrss / 1e3), stages, text)
 
 
 def best_run(arguments: Sequence[str], folder: Path) -> Run:

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from benchmark_stages import peak_memory
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from studies import add_noise, draw_errors
@@ -53,11 +53,6 @@ def best_time(work: Callable[[], object], times: int) -> float:
         work()
         seconds.append(time.perf_counter() - began)
     return min(seconds)
-
-
-def peak_memory() -> float:
-    """Return the most memory that this process has taken [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def simulate(count: int, seed: int = 0) -> tuple[Robot, Measurements]:

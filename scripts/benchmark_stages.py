@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib._bootstrap as bootstrap
 import json
+import resource
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -126,8 +127,18 @@ def watch_imports(clock: Clock) -> None:
     bootstrap._find_and_load = watched  # type: ignore[attr-defined]
 
 
+def peak_memory() -> float:
+    """Return the most memory that this process has taken [MB]; `ru_maxrss` may be that of the process that started it."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
 def main() -> None:
-    """Run the command, and write the seconds of its stages."""
+    """Run the command, and write its most memory and the seconds of its stages."""
     output, *arguments = sys.argv[1:]
     sys.argv = ["calib", *arguments]
     clock = Clock()
@@ -138,7 +149,8 @@ def main() -> None:
         calib()
     finally:
         clock.turn_to(OTHER)
-        Path(output).write_text(json.dumps(clock.seconds), encoding="utf-8")
+        figures = {"megabytes": peak_memory(), "stages": clock.seconds}
+        Path(output).write_text(json.dumps(figures), encoding="utf-8")
 
 
 if __name__ == "__main__":
