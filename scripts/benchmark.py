@@ -196,9 +196,9 @@ def time_text(seconds: float) -> str:
 
 def pass_rows(count: int, limit: str | None) -> Iterator[list[str]]:
     """Yield the rows of one pass over so many rows, beside that of a program."""
-    yield ["calib", f"{1e3 * measure('pass', count)['seconds']:.0f} ms"]
+    yield ["calib, on two cores", f"{1e3 * measure('pass', count)['seconds']:.0f} ms"]
     if limit is not None:
-        yield ["C++ by hand", f"{1e3 * by_hand(limit, count):.0f} ms"]
+        yield ["C++ by hand, on one core", f"{1e3 * by_hand(limit, count):.0f} ms"]
 
 
 def by_hand(program: str, count: int) -> float:
@@ -289,7 +289,7 @@ def parts_of(arguments: Any) -> dict[str, Part]:  # noqa: ANN401  argparse's
         "points": Part(
             ["60 points", "time", "points at fresh poses"], lambda: point_rows(arguments.peers)
         ),
-        "pass": Part([pass_title, "1 thread"], lambda: pass_rows(SIZES[-1], arguments.limit)),
+        "pass": Part([pass_title, "time"], lambda: pass_rows(SIZES[-1], arguments.limit)),
         "fit": Part(["rows", "fit", "memory", *scipy], fit_rows),
         "whole": Part(["rows", *calibrate, "`auto`, cross-validated", "memory"], whole_rows),
         "studies": Part(

@@ -128,7 +128,7 @@ def watch_imports(clock: Clock) -> None:
 
 
 def peak_memory() -> float:
-    """Return the most memory that this process has taken [MB]; `ru_maxrss` may be that of the process that started it."""
+    """Return the most memory that this process has taken [MB]: `ru_maxrss` may be that of the one that started it."""
     status = Path("/proc/self/status")
     if status.exists():
         for line in status.read_text(encoding="ascii").splitlines():
