@@ -176,7 +176,7 @@ def closed_pipe(program: list[str], folder: Path, *words: str) -> tuple[int, str
 def long_work(shop: Path) -> list[str]:
     """A call that computes for much longer than a test may take."""
     robot = Robot.load(shop / "robot.urdf", "base", "tool0")
-    q = random_joint_values(robot, 20_000)
+    q = random_joint_values(robot, 100_000)
     poses = robot.poses(q)
     rng = np.random.default_rng(1)
     points = poses[:, :3, :3] @ [0.05, 0.06, 0.07] + poses[:, :3, 3]

@@ -56,8 +56,9 @@ class Inspection:
     assumed: tuple[str, ...] = ()
     #: Pictures whose corners were numbered from the other end, see `Measurements.other_end`
     other_end: tuple[str, ...] = ()
-    #: What yourdfpy, another reader of the URDF, finds wrong with it; empty if it finds the same robot
-    fault_by_yourdfpy: str = ""
+    #: What yourdfpy, another reader of the URDF, finds wrong with it; empty if it finds the same robot. None: it was
+    #: not asked, because a table is inspected
+    fault_by_yourdfpy: str | None = None
 
 
 def inspect(
@@ -88,10 +89,12 @@ def inspect(
     assumed: tuple[str, ...] = ()
     source: str | None = None
     other_end: tuple[str, ...] = ()
+    fault: str | None = None
     if measurements is None:
         known = cell_of(cell)
         arm = robot_of(robot, known)
         rows, setup, assumed = _rows_over_joint_limits(arm, known)
+        fault = fault_by_yourdfpy(arm, spread_poses(arm)[:_COMPARED])
     else:
         arm, table, known = inputs_of(robot, measurements, cell)
         # Corner errors have a narrow prior each, and without it any of them would be mistaken for an error of the robot
@@ -117,7 +120,7 @@ def inspect(
         source=source,
         assumed=assumed,
         other_end=other_end,
-        fault_by_yourdfpy=fault_by_yourdfpy(arm, spread_poses(arm)[:_COMPARED]),
+        fault_by_yourdfpy=fault,
     )
 
 

@@ -68,7 +68,7 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
         )
     blocks = (
         *_chain(robot),
-        Bullets([reader], indent="  ", tight=True),
+        Bullets([] if fault is None else [reader], indent="  ", tight=True),
         *dh,
         *_parameters(inspection),
         Paragraph(expected),
