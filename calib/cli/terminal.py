@@ -237,7 +237,7 @@ def work_line(*, quiet: bool) -> Iterator[None]:
     pace, now_in, tried = Pace(began), Stage.READING, 0
 
     class Tried(ProgressColumn):
-        """What is tried, in one line."""
+        """Column with the work in progress, in one line."""
 
         def render(self, task: Task) -> Text:
             """Return the text, which ends in an ellipsis if there is no room for it."""

@@ -220,12 +220,12 @@ class ErrorModel(Value):
 
     @property
     def depends_on_moves(self) -> bool:
-        """Whether an error depends on the last moves of the joints, as lost motion does."""
+        """True if an error depends on the last moves of the joints, as lost motion does."""
         return any(term.factor is not None and term.factor.moved for term in self.terms)
 
     @property
     def depends_on_loads(self) -> bool:
-        """Whether an error depends on the loads on the joints, as compliance does."""
+        """True if an error depends on the loads on the joints, as compliance does."""
         return any(term.factor is not None and term.factor.loaded for term in self.terms)
 
     def values(self, x: Array) -> Array:

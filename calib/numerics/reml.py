@@ -84,8 +84,8 @@ def prior_std_by_reml(
             family's parameters, to begin with.
         priors: Normal priors of the p parameters besides those of the families; they stay as they are.
         limits: Bounds of the result.
-        only_compared: Whether the likelihood of the result is only compared with that of other models: it is then the
-            highest but for a few times `_LITTLE_RISE`.
+        only_compared: Whether the likelihood of the result is only compared with that of other models: it is then
+            below the highest by no more than a few times `_LITTLE_RISE`.
 
     Returns:
         The noise of each channel, shape (B, C), and the prior standard deviation of each family, shape (B, K), in its

@@ -93,7 +93,7 @@ def turns_to(axes: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Share:
-    """What some parameters move by the twist of one body."""
+    """The twist of one body by some of the parameters."""
 
     #: Its index among the frames of `_frames`
     body: int
@@ -390,7 +390,7 @@ def _frames(geometry: Geometry, steps: Array, samples: ChainSamples, block: slic
 
 T = TypeVar("T")
 
-# The C library glibc (Linux) gives large blocks back to the system at once, and clearing their pages anew takes longer
+# The C library glibc (Linux) gives large blocks back to the system at once, and clearing their pages again takes longer
 # than a fit, until it has seen a block of up to 32 MB freed: then it keeps as much for the next. This one is never
 # written to. With other C libraries it has no effect.
 np.empty(2**25 - 2**16, dtype=np.uint8)

@@ -189,7 +189,7 @@ class LinearProblem(Value):
         return self._sums(weights, stop_shares)[0]
 
     def _sums(self, weights: Array, stop_shares: Array) -> tuple[Array, NormalEquations]:
-        """What `products` and `normal_equations` return, of the cache if they are there."""
+        """The results of `products` and `normal_equations`, from the cache if they are there."""
         shares_count = np.any(stop_shares)
         for of_weights, of_shares, sums in self._cache:
             same_shares = (

@@ -180,8 +180,8 @@ def estimate_with_priors(
             source says whether their standard deviations are estimated or kept.
         start: shape (p,), parameters where the first solve begins instead; None: there.
         near: Estimate of another model of the same rows, with the same weights, with which this one is only compared:
-            the solution is as exact as stages need it, and begins near. The restricted likelihood is then that of the
-            optimum but for the square of this.
+            the solution begins nearby and is as exact as stages need it. The restricted likelihood then differs from
+            that of the optimum by the square of this inexactness.
         stop_shares: shape (C, 3), what the targets of a stop have in common, to begin with; None: nothing.
 
     Returns:

@@ -134,7 +134,7 @@ class _Scene(NamedTuple):
     def touches(self, configurations: Array, *, first: bool = False) -> Mask:
         """Return at which configurations (N, nq) of the whole robot any pair is closer than its margin, (N,).
 
-        With ``first`` none is compared after the first one at which a pair is, so that those behind it may be missing.
+        With ``first`` no configuration after the first of these is compared; later ones may then be missing.
         """
         if self.pool is None:
             data, geometry_data = self.new_data()
