@@ -35,7 +35,7 @@ def plain(
     configuration: Callable[[int], Configuration | None] = lambda _: None,
     same: dict[int, int] | None = None,
 ) -> ProgramFile:
-    """The program of a text; ``tools`` and ``frames`` by motion, ``same`` the target of a motion that goes to that of another."""
+    """The program of a text; ``tools`` and ``frames`` by motion, ``same`` the motion whose target another one has."""
     found = find_convention(convention)
     targets, moves, start = [], [], 0
     for line, words in enumerate(text.splitlines(keepends=True), 1):
