@@ -104,6 +104,24 @@ _NO_CALL = {
     "ON_ERROR_PROCEED",
 }
 
+#: So do the controller's own routines for messages, texts, channels and monitoring begin, which move nothing either.
+_OWN = (
+    "MSG",
+    "ERR_",
+    "STR",
+    "CWRITE",
+    "SWRITE",
+    "CREAD",
+    "SREAD",
+    "SET_",
+    "RESET_",
+    "EKI_",
+    "H50",
+    "H70",
+    "P00",
+    "A20",
+)
+
 #: Calls are followed to this depth, and while there are no more motions than so many.
 _DEEPEST, _MOST_MOVES = 12, 200_000
 
@@ -242,7 +260,7 @@ class _Reader:
         return place
 
     def _given(self, variable: Reference, value: Expression) -> _Place | None:
-        """Return the place of the aggregate that a variable is set to; None if it is set to another value or in part."""
+        """Return the place of the aggregate that a variable is set to; None if it is set otherwise, or in part."""
         if isinstance(value, Aggregate) and not variable.field and variable.key:
             return self._keep(value)
         return None
@@ -536,7 +554,7 @@ class _Reader:
         name = statement.tokens[0].text
         routine = self.by_name.get(name)
         if routine is None:
-            if not is_trial and name not in self.called:
+            if not (is_trial or name in self.called or name.startswith(_OWN)):
                 self.called.add(name)
                 self._leave(statement, "other file", f"{name}()")
             return state
@@ -606,7 +624,8 @@ class _Reader:
         else:
             places = self._known(where.key, state)
         if not places:
-            self._leave(statement, "other file", name)
+            is_own = where.name.startswith("$")  # type: ignore[union-attr]
+            self._leave(statement, "computed" if is_own else "other file", name)
             return
         if None in places:
             self._leave(statement, "computed", name)
