@@ -82,6 +82,8 @@ html_theme = "furo"
 html_title = f"calib {release}"
 html_static_path = ["static"]
 html_css_files = ["calib.css"]
+# The list of pages for assistants, and beside it the pages as they are written, to which it leads.
+html_extra_path = ["llms.txt", *sorted(page.name for page in HERE.glob("*.md"))]
 html_copy_source = False
 html_show_sphinx = False
 pygments_style = "friendly"

@@ -237,7 +237,7 @@ HERE = (
 )
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
-CALLED = ("fleet.md", "report.md")
+CALLED = ("fleet.md", "report.md", "ros.md")
 
 
 def python(page: str) -> str:
