@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
 import sys
 from functools import cache
 from pathlib import Path
@@ -82,8 +83,6 @@ html_theme = "furo"
 html_title = f"calib {release}"
 html_static_path = ["static"]
 html_css_files = ["calib.css"]
-# The list of pages for assistants, and beside it the pages as they are written, to which it leads.
-html_extra_path = ["llms.txt", *sorted(page.name for page in HERE.glob("*.md"))]
 html_copy_source = False
 html_show_sphinx = False
 pygments_style = "friendly"
@@ -131,6 +130,14 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-signature", _signature)
     app.connect("doctree-read", _short_contents, priority=400)  # before the contents are collected
     app.connect("missing-reference", _elsewhere)
+    app.connect("build-finished", _copy_pages)
+
+
+def _copy_pages(app: Sphinx, error: Exception | None) -> None:
+    """Put the list of pages for assistants into the site, and the pages as they are written, to which it leads."""
+    if error is None:
+        for page in (HERE / "llms.txt", *HERE.glob("*.md")):
+            shutil.copy(page, app.outdir)
 
 
 def _read_page(_: Sphinx, _name: str, source: list[str]) -> None:
