@@ -124,7 +124,7 @@ class Table:
     lines: tuple[int, ...]
     #: The stripped cells of each row, as many as the header has.
     cells: tuple[list[str], ...]
-    #: Line of the file with the header, from 1; 0: it has none.
+    #: Line of the file with the header, from 1; 0: the table is of no file.
     header_line: int = 0
 
     @classmethod
@@ -265,9 +265,10 @@ class Table:
         """
         written = self.cells[row][row_numbers.index] if row_numbers else ""
         number = written or str(row + 1)
-        raise MeasurementError(
-            f"{self.source}, line {self.lines[row]} (row {number}), column '{column.label}': {what}"
-        )
+        place = f"{self.source}, row {number}"  # of a frame
+        if self.header_line:
+            place = f"{self.source}, line {self.lines[row]} (row {number})"
+        raise MeasurementError(f"{place}, column '{column.label}': {what}")
 
 
 def is_blank(text: str) -> bool:

@@ -17,6 +17,7 @@ import numpy as np
 import calib.data.kinds as registry
 from calib.basics.arguments import check_type
 from calib.basics.arrays import Array
+from calib.basics.frames import Frame, is_frame, table_of_frame
 from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.cell_chains import Sight, check_links_named, robot_of_cell, sights_of
@@ -31,15 +32,15 @@ from calib.robot.urdf import Urdf, read_urdf
 #: A robot; or the path of its URDF, xacro or DH rows; or its name in example-robot-data, such as ``"ur3"``.
 RobotInput: TypeAlias = Robot | str | Path
 
-#: Measurements, or the path of their table.
-TableInput: TypeAlias = Measurements | str | Path
+#: Measurements; or the path of their table; or their table as a frame of pandas or polars or a dict of columns.
+TableInput: TypeAlias = Measurements | Frame | str | Path
 
 #: A cell, or the path of its file; None: the default cell.
 CellInput: TypeAlias = Cell | str | Path | None
 
 #: Descriptions of the three, for messages.
 ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
-TABLE = "Measurements, or the path of a table"
+TABLE = "Measurements, the path of a table, or a frame or dict of its columns"
 CELL = "a Cell, the path of a cell file, or None"
 
 
@@ -127,14 +128,15 @@ def inputs_of(
     """
     cell = cell_of(cell)
     _check_robot(robot, "robot")
-    check_type("measurements", table, (Measurements, str, Path), TABLE)
+    if not is_frame(table):
+        check_type("measurements", table, (Measurements, str, Path), TABLE)
     if isinstance(table, Measurements):
         sights = tuple(dict.fromkeys(zip(table.groups, table.targets, strict=True)))
         if not isinstance(robot, Robot):
             check_links_named(cell, sights, table.source or "Measurements")
         arm = robot_of(robot, cell, measured=table.joint_names, sights=sights, read=read)
         return arm, brought_back(arm, table), cell
-    read_table = Table.read(table)
+    read_table = Table.read(table) if isinstance(table, (str, Path)) else table_of_frame(table)
     names = column_names(read_table)
     sights = sights_of(read_table, kind=cell.kind)
     if not isinstance(robot, Robot):
