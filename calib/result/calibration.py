@@ -227,7 +227,7 @@ class Calibration(Value):
         """Write the report, a page with figures that prints on A4.
 
         Args:
-            path: The HTML file.
+            path: The file, a page (.html) or a PDF (.pdf), which an installed Chromium, Chrome or Edge prints.
             overwrite: Whether a file that exists is replaced.
 
         Returns:

@@ -141,7 +141,9 @@ def evaluate(
     report: Annotated[
         Path | None,
         typer.Option(
-            "--report", metavar="FILE", help="Write a report to print and sign: a page, .html."
+            "--report",
+            metavar="FILE",
+            help="Write a report to print and sign: a page, .html, or a PDF, .pdf.",
         ),
     ] = None,
     force: Force = False,
@@ -156,14 +158,14 @@ def evaluate(
     """Evaluate, write the files and print the errors; exit status 3 if a tolerance is not shown to be kept."""
     from calib.result.calibration_file import read_result, write_table
     from calib.result.chain_of_result import with_chain_of_result
-    from calib.show.as_html import check_ending
+    from calib.show.report_file import check_report
     from calib.show.robot_sentences import other_run_sentence
     from calib.verbs.evaluate.acceptance import assess
     from calib.verbs.evaluate.evaluation_file import assessment_table
     from calib.verbs.evaluate.report import Origins, summary, write_report
 
     if report is not None:
-        check_ending(report)
+        check_report(report)
     inputs: list[str | Path | None] = [
         robot,
         data,

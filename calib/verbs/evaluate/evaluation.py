@@ -174,7 +174,7 @@ class Evaluation(Value):
         """Write the report, a page that prints on A4, with the characteristics of ISO 9283 and a first page to sign.
 
         Args:
-            path: The HTML file.
+            path: The file, a page (.html) or a PDF (.pdf), which an installed Chromium, Chrome or Edge prints.
             accepted: Result of `calib.acceptance` for this evaluation; None: no tolerance is tested.
             overwrite: Whether a file that exists is replaced.
 
