@@ -11,9 +11,12 @@ from pathlib import Path
 import pytest
 
 from calib.errors import CalibError, FileError
+from calib.show.blocks import Page
 from calib.show.report_file import check_report, find_browser, report_bytes
-from calib.verbs.calibrate.report import report
 from tests.browser import CHROMIUM, NEEDED
+
+#: A page without figures.
+PAGE = Page("Report", "of nothing", ())
 
 
 def starter(folder: Path, name: str, script: str) -> None:
@@ -44,9 +47,8 @@ def test_a_report_is_printed_on_a4(calibrations, tmp_path: Path):
         result.write_report(path)
 
 
-def test_the_ending_says_which(calibrations, tmp_path: Path):
-    page = report(calibrations.made("one_row"))
-    assert report_bytes(page, tmp_path / "r.htm").lstrip().lower().startswith(b"<!doctype html>")
+def test_the_ending_says_which(tmp_path: Path):
+    assert report_bytes(PAGE, tmp_path / "r.htm").lstrip().lower().startswith(b"<!doctype html>")
     check_report("r.html")
     for name in ("r.txt", "r", "r.pdf.zip"):
         with pytest.raises(FileError, match=r"\.html or \.pdf"):
@@ -69,9 +71,9 @@ def test_without_a_browser_there_is_no_pdf(monkeypatch, call, shop: Path, tmp_pa
 
 @pytest.mark.skipif(os.name != "posix", reason="programs are scripts here")
 @pytest.mark.parametrize("script", ["", "import sys; sys.exit(1)", "open('page.pdf', 'w')"])
-def test_a_browser_that_does_not_print(monkeypatch, calibrations, tmp_path: Path, script: str):
+def test_a_browser_that_does_not_print(monkeypatch, tmp_path: Path, script: str):
     starter(tmp_path, "google-chrome", script)
     monkeypatch.setenv("PATH", str(tmp_path))
     assert find_browser() == str(tmp_path / "google-chrome")
     with pytest.raises(CalibError, match="did not print"):
-        report_bytes(report(calibrations.made("one_row")), "r.pdf")
+        report_bytes(PAGE, "r.pdf")
