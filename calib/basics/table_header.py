@@ -18,6 +18,9 @@ from calib.basics.units import NUMBER, is_unit, split_header
 SEPARATORS = (",", ";", "\t", "|")
 BLANK = " "
 
+#: Separators that may stand at the ends of lines too, where they separate nothing.
+FRAMED = ("|", BLANK)
+
 #: A line of a text that is looked at: its number, from 1, and its text.
 Line = tuple[int, str]
 
@@ -123,7 +126,8 @@ def separator_of(lines: Sequence[Line]) -> str:
     if header.count(separator):
         return separator
     below = lines[1][1] if len(lines) > 1 else header
-    return BLANK if len(below.split()) > 1 else SEPARATORS[0]
+    several = len(cells_of(header, BLANK)) > 1 and len(below.split()) > 1
+    return BLANK if several else SEPARATORS[0]
 
 
 def cells_of(line: str, separator: str | None = None, *, is_header: bool = True) -> list[str]:

@@ -22,6 +22,7 @@ from calib.basics.arrays import Array
 from calib.basics.files import read_bytes
 from calib.basics.table_header import (
     BLANK,
+    FRAMED,
     Line,
     cells_of,
     find_header,
@@ -44,7 +45,7 @@ _BLANKS = " \t,;|\n"
 
 #: A line that is skipped: a comment, but not a cell of Excel such as #N/A; a rule between header and rows.
 _COMMENT = re.compile(r'\s*"?(?:#(?!N/A|REF!|VALUE!|DIV/0!|NAME\?|NUM!|NULL!)|%)(?P<text>[^\n]*)')
-_RULE = re.compile(r"(?=.*[-=]{3})[-=_+|:\s]+")
+_RULE = re.compile(r"[-=_+|:\s]*[-=]{3}[-=_+|:\s]*")
 
 #: Cells that stand for no number, in lower case.
 _MISSING = frozenset(
@@ -173,6 +174,8 @@ class Table:
         width = len(header)
         for i in range(first_row, len(cells)):
             row = cells[i]
+            if len(row) == width:
+                continue
             while len(row) > width and not row[-1]:  # separators at the end of a line
                 row.pop()
             if named_cells <= len(row) < width:  # they are at the end of the header alone
@@ -282,6 +285,9 @@ def _lines_of(text: str) -> tuple[list[Line], list[Line]]:
     comments: list[Line] = []
     for number, found in enumerate(_LINE.finditer(text), 1):
         line = found.group()
+        if line[0].isalnum():  # the usual line
+            content.append((number, line))
+            continue
         comment = _COMMENT.match(line)
         if comment is not None:
             if not content:
@@ -311,8 +317,11 @@ def _rows(
         number, header = content.pop(0)
         lines.append(number)
         cells.append(cells_of(header, separator))
+    texts = [line for _, line in content]
+    if separator in FRAMED:
+        texts = [trimmed(line, separator) for line in texts]
     reader = csv.reader(
-        (trimmed(line, separator) for _, line in content),
+        texts,
         delimiter=separator,
         skipinitialspace=True,
         strict=True,
