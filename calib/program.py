@@ -6,42 +6,69 @@ A verb's module is imported when the verb is called: ``calib --help`` needs none
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from calib.cli.exit_status import ExitStatus
 from calib.cli.interrupt import INTERRUPTED
 from calib.cli.verb import Verb
 
-#: The verbs, in the order of ``calib --help``; ``base-frame`` is that of the folder ``base_frame``. The docstring of a
-#: verb's package is what it does in one line.
+#: The verbs in the order of the work: look, plan, measure, calibrate, use. ``base-frame`` is that
+#: of the folder ``base_frame``. The docstring of a verb's package is what it does in one line.
 VERBS = (
     "demo",
-    "detect",
-    "calibrate",
-    "fleet",
-    "evaluate",
-    "compare",
-    "compensate",
     "inspect",
-    "base-frame",
-    "board",
+    "workspace",
     "plan",
     "simulate",
-    "convert",
+    "board",
+    "detect",
     "joints",
+    "base-frame",
+    "calibrate",
+    "evaluate",
+    "compare",
+    "convert",
+    "compensate",
     "view",
-    "workspace",
+    "fleet",
 )
 
 #: Earlier names of verbs, kept for one release.
 _EARLIER = {"fit": "calibrate"}
+
+#: Verbs that are meant by words of other programs, which are proposed in place of them.
+_MEANT = {
+    "acceptance": "evaluate",
+    "check": "evaluate",
+    "correct": "compensate",
+    "diff": "compare",
+    "estimate": "calibrate",
+    "export": "convert",
+    "identify": "calibrate",
+    "info": "inspect",
+    "measure": "plan",
+    "poses": "plan",
+    "show": "view",
+    "test": "evaluate",
+    "validate": "evaluate",
+    "verify": "evaluate",
+}
+
+#: Columns of a terminal in which no line of help is broken.
+_NO_BREAK = "1000"
+
+#: Options that show the help, wherever they are given; and the word for them.
+_HELP_OPTIONS = ("-h", "--help")
+_HELP = "help"
 
 
 class _Commands(Mapping[str, Any]):
@@ -72,6 +99,21 @@ def _command(name: str) -> Any:  # noqa: ANN401  a class of typer's own
     return get_command(single)
 
 
+def _summary(name: str) -> str:
+    """Return what a verb does in one line."""
+    package = importlib.import_module(f"calib.verbs.{name.replace('-', '_')}")
+    return package.__doc__ or ""
+
+
+class _Described(TyperCommand):
+    """A command of which a shell is told no more than its name and what it does."""
+
+    def get_short_help_str(self, limit: int = 0) -> str:
+        """Return what it does, whole."""
+        del limit
+        return self.help or ""
+
+
 @contextmanager
 def _saying_interrupted() -> Iterator[None]:
     """Say that Ctrl-C ended the block, which typer does not, and what it says of the work that is kept."""
@@ -92,6 +134,10 @@ class Program(TyperGroup):
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:  # noqa: ANN401  typer's own
         """Parse the options before the verb."""
+        if options.get(
+            "resilient_parsing"
+        ):  # a shell completes words: no text for it is broken into lines
+            os.environ["COLUMNS"] = _NO_BREAK
         with _saying_interrupted():
             return super().make_context(*arguments, **options)
 
@@ -105,26 +151,55 @@ class Program(TyperGroup):
         del ctx
         return list(self.commands)
 
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:  # noqa: ANN401  typer's own
+        """Return the verbs and options that a shell proposes, without importing a verb."""
+        described: Any = {name: _Described(name, help=_summary(name)) for name in VERBS}
+        self.commands = described
+        proposed: list[Any] = super().shell_complete(ctx, incomplete)
+        return proposed
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  typer's own
+        """Find the verb of a call; ``help`` is the help of all, before a verb or alone behind it that of the verb.
+
+        Args:
+            ctx: The context of the call.
+            args: The verb and the words after it.
+
+        Returns:
+            Its name, the command, and the words after it.
+        """
+        verb, *words = args
+        if verb == _HELP and not words:
+            typer.echo(ctx.get_help())
+            raise typer.Exit
+        if verb == _HELP:
+            verb, words = words[0], [*_HELP_OPTIONS[:1]]
+        elif words == [_HELP] and not Path(_HELP).exists():
+            words = [*_HELP_OPTIONS[:1]]
+        if verb in _MEANT:
+            ctx.fail(f"No such command '{verb}'. Did you mean '{_MEANT[verb]}'?")
+        return super().resolve_command(ctx, [verb, *words])
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
         """Write the verbs with what they do, without their commands."""
         del ctx
-        rows = []
-        for name in VERBS:
-            package = importlib.import_module(f"calib.verbs.{name.replace('-', '_')}")
-            rows.append((name, package.__doc__ or ""))
         with formatter.section("Commands"):
-            formatter.write_dl(rows)
+            formatter.write_dl([(name, _summary(name)) for name in VERBS])
 
 
 app = typer.Typer(
     name="calib",
     cls=Program,
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": [*_HELP_OPTIONS]},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
-    epilog="Start with:  calib demo     then:  calib calibrate robot.urdf data.csv -o corrected.urdf",
+    epilog="""\b
+Start with:  calib demo
+then:        calib calibrate robot.urdf data.csv -o corrected.urdf
+in a folder: calib inspect .
+""",
 )
 
 
@@ -138,7 +213,12 @@ def _print_version(given: bool) -> None:
 
 
 _VERSION = typer.Option(
-    False, "--version", callback=_print_version, is_eager=True, help="Print the version and stop."
+    False,
+    "--version",
+    "-V",
+    callback=_print_version,
+    is_eager=True,
+    help="Print the version and stop.",
 )
 
 

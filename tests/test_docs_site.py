@@ -178,7 +178,12 @@ def parse(call: str) -> None:
         UsageError: There is no such verb or option, or a value is none that it takes.
     """
     verb, *words = call.replace('"', " ").split()[1:]
+    if verb == "help":
+        verb, *words = [*words, "calibrate"]
     if verb.startswith("-"):
+        if verb not in {"-h", "--help"}.union(*(p.opts for p in COMMAND.params)):
+            message = f"there is no option '{verb}'"
+            raise UsageError(message)
         return
     command = COMMAND.commands.get(verb)  # type: ignore[attr-defined]
     if command is None:
@@ -194,6 +199,8 @@ def parse(call: str) -> None:
 def parse_whole(call: str) -> None:
     parse(call)
     words = shlex.split(call, comments=True)
+    if words[1].startswith("-"):
+        return
     if not any(word == "..." or word.isupper() for word in words):
         COMMAND.commands[words[1]].make_context(call, words[2:])  # type: ignore[attr-defined]
 
@@ -201,7 +208,8 @@ def parse_whole(call: str) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_calls_of_the_program_are_such(page: Path):
     for call in filter(is_call, spans(page)):
-        parse(call)
+        if call != "calib help VERB":
+            parse(call)
     for call in filter(is_call, blocks(page)):
         parse_whole(call)
 
@@ -210,8 +218,11 @@ def test_calls_that_are_none_are_seen():
     parse_whole('calib calibrate robot.urdf data.csv --target "0 0 1 mm"')
     parse_whole("calib calibrate ... --frame estimate")
     parse("calib plan --region")
+    parse("calib help board")
+    parse("calib --show-completion")
     for wrong in (
         "calib fat robot.urdf",
+        "calib --nonsense",
         "calib calibrate robot.urdf",
         "calib calibrate robot.urdf data.csv --nonsense",
         "calib calibrate ... --nonsense",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import pty
 import re
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +18,7 @@ import pytest
 
 import calib
 from calib.data.measurements import Measurements
+from calib.program import VERBS
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from tests.places import ROOT
@@ -99,6 +102,71 @@ def test_version_and_help(run, tmp_path: Path):
     assert done.code == 0
     for verb in ("demo", "calibrate", "evaluate", "inspect"):
         assert re.search(rf"\n  {verb} +[A-Z]", done.out)
+
+
+@pytest.mark.slow
+def test_the_help_is_whole_in_80_columns_and_in_the_order_of_the_work(run, tmp_path: Path):
+    done = run(tmp_path, "-h")
+    assert done.code == 0
+    assert done.out == run(tmp_path, "help").out == run(tmp_path, "--help").out
+    assert "..." not in done.out.replace("[ARGS]...", "")
+    assert max(map(len, done.lines)) <= 80
+    listed = re.findall(r"(?m)^  ([a-z][a-z-]+)  +[A-Z]", done.out)
+    assert listed == list(VERBS)
+    order = ("inspect", "plan", "calibrate", "evaluate", "compensate")
+    assert sorted(order, key=listed.index) == list(order)
+    assert run(tmp_path, "-V").out == run(tmp_path, "--version").out
+    asked = [("board", "-h"), ("board", "--help"), ("help", "board"), ("board", "help")]
+    answers = {run(tmp_path, *words).out for words in asked}
+    assert len(answers) == 1
+    assert "Usage: calib board" in answers.pop()
+
+
+@pytest.mark.parametrize(
+    ("word", "verb"),
+    [("calibrat", "calibrate"), ("validate", "evaluate"), ("export", "convert"), ("show", "view")],
+)
+def test_a_word_of_another_program_names_the_verb(call, tmp_path: Path, word: str, verb: str):
+    done = call(tmp_path, word, "robot.urdf")
+    assert (done.code, done.out) == (2, "")
+    assert done.err.splitlines()[-1] == f"Error: No such command '{word}'. Did you mean '{verb}'?"
+
+
+#: Words before the cursor, and what a shell proposes.
+COMPLETED = {
+    "calib ca": ["calibrate"],
+    "calib ": list(VERBS),
+    "calib --ver": ["--version"],
+    "calib evaluate robot.urdf data.csv --tol": ["--tolerance"],
+    "calib calibrate robot.urdf --figure-format p": ["png", "pdf"],
+    "calib calibrate rob": [],  # a shell then proposes files
+    "calib calibrate robot.urdf data.csv --json ": [],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+def test_bash_completes_verbs_options_and_choices(program, tmp_path: Path):
+    """By the function that ``--show-completion`` prints, in a bash that was started for it."""
+    starter = tmp_path / "calib"
+    starter.write_text(f'#!/bin/sh\nexec {shlex.join(program)} "$@"\n')
+    starter.chmod(0o755)
+    script = ['eval "$(calib --show-completion)"', "complete -p calib"]
+    for line in COMPLETED:
+        words = line.split(" ")
+        script.append(f"COMP_WORDS=({' '.join(repr(word) for word in words)})")
+        script.append(f"COMP_CWORD={len(words) - 1}")
+        script.append('_calib_completion calib; echo "${COMPREPLY[*]}"')
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "COLUMNS": "40"}
+    # A line more keeps bash from becoming the program: completion asks which shell has started it.
+    done = subprocess.run(
+        ["bash", "--norc", "-c", "\n".join([*script, "true"])],
+        cwd=tmp_path, env=environment, capture_output=True, encoding="utf-8", check=True,
+    )  # fmt: skip
+    assert done.stderr == ""
+    registered, *proposed = done.stdout.splitlines()
+    assert registered == "complete -o default -F _calib_completion calib"
+    assert [line.split() for line in proposed] == list(COMPLETED.values())
 
 
 @pytest.mark.parametrize(

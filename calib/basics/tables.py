@@ -1,7 +1,8 @@
 """A table as text: separator, header and rows of cells.
 
-One reader for all tables of calib: comma, semicolon or tab between the cells, units in the header, blank lines and
-those that begin with # skipped; or a sheet of an Excel file.
+One reader for all tables of calib: comma, semicolon, tab, bar or blanks between the cells, units in the header, blank
+lines and those that begin with # or % skipped; or a sheet of an Excel file. The header is found by
+`calib.basics.table_header`.
 """
 
 from __future__ import annotations
@@ -19,24 +20,56 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.files import read_bytes
-from calib.basics.units import NUMBER, Unit, find_unit
+from calib.basics.table_header import (
+    BLANK,
+    FRAMED,
+    Line,
+    cells_of,
+    find_header,
+    is_row,
+    trimmed,
+    unit_in,
+)
+from calib.basics.units import NUMBER, Unit, find_unit, split_header
 from calib.basics.workbook import read_sheet, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
-
-#: Separators of cells; if several are equally frequent in the header, the first of them does.
-SEPARATORS = (",", ";", "\t")
 
 #: A line of a text with its end.
 _LINE = re.compile(r"[^\n]*\n|[^\n]+")
 
 #: A line before the header that tells Excel the separator: ``sep=;``.
-_SEPARATOR_LINE = re.compile(r'"?sep=([,;\t])"?[\s,;]*$', re.IGNORECASE)
+_SEPARATOR_LINE = re.compile(r'"?sep=([,;\t|])"?[\s,;]*$', re.IGNORECASE)
 
 #: Characters of a line without content.
-_BLANKS = " \t,;\n"
+_BLANKS = " \t,;|\n"
 
-#: Beginnings of lines that are skipped.
-_COMMENTS = ("#", '"#')
+#: A line that is skipped: a comment, but not a cell of Excel such as #N/A; a rule between header and rows.
+_COMMENT = re.compile(r'\s*"?(?:#(?!N/A|REF!|VALUE!|DIV/0!|NAME\?|NUM!|NULL!)|%)(?P<text>[^\n]*)')
+_RULE = re.compile(r"[-=_+|:\s]*[-=]{3}[-=_+|:\s]*")
+
+#: Cells that stand for no number, in lower case.
+_MISSING = frozenset(
+    (
+        "",
+        "nan",
+        "na",
+        "n/a",
+        "n.a.",
+        "#n/a",
+        "<na>",
+        "null",
+        "none",
+        "-",
+        "--",
+        "\N{EN DASH}",
+        "\N{EM DASH}",
+    )
+)
+
+#: Signs that people and text processors write in place of the minus.
+_MINUS = str.maketrans(
+    dict.fromkeys("\N{MINUS SIGN}\N{EN DASH}\N{HYPHEN}\N{NON-BREAKING HYPHEN}", "-")
+)
 
 _EXAMPLE = "such as: set,joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]"
 
@@ -84,7 +117,7 @@ class Table:
     source: str
     #: Hash of the file's bytes.
     sha256: str
-    #: One of `SEPARATORS`.
+    #: One of `SEPARATORS`, or `BLANK`.
     separator: str
     #: The header's cells.
     header: tuple[str, ...]
@@ -92,6 +125,8 @@ class Table:
     lines: tuple[int, ...]
     #: The stripped cells of each row, as many as the header has.
     cells: tuple[list[str], ...]
+    #: Line of the file with the header, from 1; 0: the table is of no file.
+    header_line: int = 0
 
     @classmethod
     def read(cls, path: str | Path) -> Table:
@@ -108,12 +143,7 @@ class Table:
                 than the header.
         """
         source, sha256, text = read_text(path, "The table")
-        content = []  # number, from 1, and text of each line that is not skipped
-        for number, found in enumerate(_LINE.finditer(text), 1):
-            line = found.group()
-            if line.strip(_BLANKS) and not line.lstrip().startswith(_COMMENTS):
-                content.append((number, line))
-
+        content, comments = _lines_of(text)
         named = _SEPARATOR_LINE.match(content[0][1]) if content else None
         if named is not None:
             del content[0]
@@ -121,42 +151,60 @@ class Table:
             raise MeasurementError(
                 f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
             )
-        header_line = content[0][1]
-        separator = max(SEPARATORS, key=header_line.count)
-        if named is not None and named[1] in header_line:
+        found = find_header(content, comments)
+        header_line = found.lines[0][0]
+        separator = found.separator
+        if named is not None and named[1] in found.lines[0][1]:
             separator = named[1]
 
-        # The line at which each row ends, and its cells; the header is the first row.
-        lines: list[int] = []
-        cells: list[list[str]] = []
-        reader = csv.reader(
-            (line for _, line in content), delimiter=separator, skipinitialspace=True, strict=True
-        )
-        try:
-            for row in reader:
-                lines.append(content[reader.line_num - 1][0])
-                cells.append([cell.strip() for cell in row])
-        except csv.Error as error:
+        lines, cells = _rows(found.lines, separator, source)
+        header = cells[0]
+        if is_row(header):
             raise MeasurementError(
-                f"{source}, line {content[reader.line_num - 1][0]}: not a CSV table ({error}). Check "
-                'the double quotes (") there and above.'
-            ) from error
-
-        header = tuple(cells[0])
-        if all(NUMBER.fullmatch(cell) for cell in header):
-            raise MeasurementError(
-                f"{source}: the first line holds numbers where the header should be, {_EXAMPLE}"
+                f"{source}, line {lines[0]}: the first line holds numbers where the header should be, {_EXAMPLE}"
             )
-        for number, (line_number, row) in enumerate(zip(lines[1:], cells[1:], strict=True), 1):
-            if len(row) != len(header):
-                comma = ""
-                if separator == "," and len(row) > len(header):
-                    comma = " A decimal comma needs semicolons between the columns."
+        first_row = 1
+        if found.has_units_below:
+            first_row = 2
+            units = [unit_in(cell) for cell in cells[1]]
+            for i, unit in enumerate(units):
+                if unit and split_header(header[i])[1] is None:
+                    header[i] = f"{header[i]} [{unit}]"
+        named_cells = max((i + 1 for i, label in enumerate(header) if label), default=0)
+        width = len(header)
+        for i in range(first_row, len(cells)):
+            row = cells[i]
+            if len(row) == width:
+                continue
+            while len(row) > width and not row[-1]:  # separators at the end of a line
+                row.pop()
+            if named_cells <= len(row) < width:  # they are at the end of the header alone
+                row.extend([""] * (width - len(row)))
+            if len(row) != width:
+                hint = ""
+                if separator == "," and len(row) > width:
+                    hint = " A decimal comma needs semicolons between the columns."
+                elif separator == BLANK:
+                    hint = " Between blanks no cell can be empty: write nan, or separate them by commas."
                 raise MeasurementError(
-                    f"{source}, line {line_number} (row {number}): the row has {len(row)} cells, the "
-                    f"header has {len(header)}. Make them as many.{comma}"
+                    f"{source}, line {lines[i]} (row {i - first_row + 1}): the row has {len(row)} cells, the "
+                    f"header has {width}. Make them as many.{hint}"
                 )
-        return cls(source, sha256, separator, header, tuple(lines[1:]), tuple(cells[1:]))
+        rows = slice(first_row, None)
+        return cls(
+            source,
+            sha256,
+            separator,
+            tuple(header),
+            tuple(lines[rows]),
+            tuple(cells[rows]),
+            header_line,
+        )
+
+    @property
+    def place(self) -> str:
+        """The file's name and the line of the header, for messages."""
+        return f"{self.source}, line {self.header_line}" if self.header_line else self.source
 
     def column(self, column: Column) -> list[str]:
         """Return the cells of a column, one a row."""
@@ -166,7 +214,8 @@ class Table:
         """Read the numbers of c columns, in the units as written.
 
         Returns:
-            Numbers, shape (rows, c); NaN for an empty cell, infinite for one that holds anything but a number.
+            Numbers, shape (rows, c); NaN for a cell that is empty or holds a word for it (`is_blank`), infinite for
+            one that holds anything but a number.
 
         Raises:
             MeasurementError: Some numbers have decimal points, others decimal commas: one of the two may separate
@@ -177,7 +226,14 @@ class Table:
             first_lines: dict[str, int] = {}
             for column_texts in texts:
                 for sign in ".,":
-                    row = next((i for i, text in enumerate(column_texts) if sign in text), None)
+                    row = next(
+                        (
+                            i
+                            for i, text in enumerate(column_texts)
+                            if sign in text and not is_blank(text)
+                        ),
+                        None,
+                    )
                     if row is not None:
                         first_lines.setdefault(sign, self.lines[row])
             if len(first_lines) == 2:
@@ -212,13 +268,78 @@ class Table:
         """
         written = self.cells[row][row_numbers.index] if row_numbers else ""
         number = written or str(row + 1)
+        place = f"{self.source}, row {number}"  # of a frame
+        if self.header_line:
+            place = f"{self.source}, line {self.lines[row]} (row {number})"
+        raise MeasurementError(f"{place}, column '{column.label}': {what}")
+
+
+def is_blank(text: str) -> bool:
+    """Return True if a cell of a column of numbers holds none: it is empty, or has a word for that, such as NaN."""
+    return text.casefold() in _MISSING
+
+
+def _lines_of(text: str) -> tuple[list[Line], list[Line]]:
+    """Return the lines of a text that are not skipped, and the comments above the first of them without their sign."""
+    content: list[Line] = []
+    comments: list[Line] = []
+    for number, found in enumerate(_LINE.finditer(text), 1):
+        line = found.group()
+        if line[0].isalnum():  # the usual line
+            content.append((number, line))
+            continue
+        comment = _COMMENT.match(line)
+        if comment is not None:
+            if not content:
+                comments.append((number, comment["text"].strip()))
+        elif not _is_blank_line(line):
+            content.append((number, line))
+    return content, comments
+
+
+def _is_blank_line(line: str) -> bool:
+    """Return True if a line has no content: empty cells only, perhaps in quotes, or a rule below a header."""
+    empty_cells = not line.strip(_BLANKS + '"') and line.count('"') % 2 == 0
+    return empty_cells or _RULE.fullmatch(line.strip()) is not None
+
+
+def _rows(
+    content: Sequence[Line], separator: str, source: str
+) -> tuple[list[int], list[list[str]]]:
+    """Return the line at which each row of a table ends, and its stripped cells; the header is the first row.
+
+    MeasurementError, with the file's name ``source``, if double quotes are not in pairs.
+    """
+    lines: list[int] = []
+    cells: list[list[str]] = []
+    content = list(content)
+    if separator == BLANK:
+        number, header = content.pop(0)
+        lines.append(number)
+        cells.append(cells_of(header, separator))
+    texts = [line for _, line in content]
+    if separator in FRAMED:
+        texts = [trimmed(line, separator) for line in texts]
+    reader = csv.reader(
+        texts,
+        delimiter=separator,
+        skipinitialspace=True,
+        strict=True,
+    )
+    try:
+        for row in reader:
+            lines.append(content[reader.line_num - 1][0])
+            cells.append([cell.strip() for cell in row])
+    except csv.Error as error:
         raise MeasurementError(
-            f"{self.source}, line {self.lines[row]} (row {number}), column '{column.label}': {what}"
-        )
+            f"{source}, line {content[reader.line_num - 1][0]}: not a CSV table ({error}). Check "
+            'the double quotes (") there and above.'
+        ) from error
+    return lines, cells
 
 
 def _parse_numbers(texts: Sequence[str]) -> Array:
-    """Return the numbers in cells, shape (rows,): NaN for an empty one, infinite for one that holds anything else."""
+    """Return the numbers in cells, shape (rows,): NaN for a missing one, infinite for one that holds anything else."""
     try:  # the usual column at once: ten times as fast
         numbers = np.array(list(map(float, texts)), dtype=np.float64)
     except ValueError:
@@ -229,9 +350,10 @@ def _parse_numbers(texts: Sequence[str]) -> Array:
 
     numbers = np.full(len(texts), np.inf)
     for row, text in enumerate(texts):
-        if NUMBER.fullmatch(text):
-            numbers[row] = float(text)
-        elif not text:
+        plain = text.translate(_MINUS)
+        if NUMBER.fullmatch(plain):
+            numbers[row] = float(plain)
+        elif is_blank(text):
             numbers[row] = np.nan
     return numbers
 

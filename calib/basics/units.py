@@ -48,21 +48,38 @@ _ROWS: tuple[tuple[str, Quantity, float], ...] = (
 #: All units by symbol.
 UNITS: Mapping[str, Unit] = MappingProxyType({row[0]: Unit(*row) for row in _ROWS})
 
-# Unicode has two signs for micro, the micro sign and the Greek letter; a product has many.
+#: Other spellings of units, by the symbol: words, signs, and the letters of other scripts. Unicode has two signs for
+#: micro, the micro sign and the Greek letter, and signs of one character for some units.
 _SPELLINGS = {
-    "\N{MICRO SIGN}m": "um",
-    "\N{GREEK SMALL LETTER MU}m": "um",
-    "N m": "Nm",
-    "N.m": "Nm",
-    "N*m": "Nm",
-    "N\N{MIDDLE DOT}m": "Nm",
-    "N\N{DOT OPERATOR}m": "Nm",
-}
+    spelling: symbol
+    for symbol, spellings in {
+        "m": "meter meters metre metres \N{CYRILLIC SMALL LETTER EM} \u7c73",
+        "mm": "millimeter millimeters millimetre millimetres \N{SQUARE MM} \u043c\u043c \u6beb\u7c73",
+        "cm": "centimeter centimeters centimetre centimetres \N{SQUARE CM} \u0441\u043c \u5398\u7c73",
+        "um": "\N{MICRO SIGN}m \N{GREEK SMALL LETTER MU}m \N{SQUARE MU M} micron microns micrometer micrometers "
+        "micrometre micrometres \u043c\u043a\u043c \u5fae\u7c73",
+        "in": "inch inches",
+        "rad": "radian radians \u0440\u0430\u0434 \u5f27\u5ea6",
+        "deg": "deg. degree degrees Deg DEG \N{DEGREE SIGN} \N{MASCULINE ORDINAL INDICATOR} "
+        "\u0433\u0440\u0430\u0434 \u5ea6",
+        "mrad": "milliradian milliradians",
+        "Nm": "N\N{NO-BREAK SPACE}m N.m N*m N-m N\N{MIDDLE DOT}m N\N{DOT OPERATOR}m",
+        "px": "pixel pixels",
+    }.items()
+    for spelling in spellings.split(" ")
+} | {"N m": "Nm"}
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 """A number in the files of robots: ASCII digits, at most one point and one exponent; neither nan nor inf."""
 
 _HEADER = re.compile(r"(?P<name>.*?)\s*\[(?P<symbol>[^\[\]]*)\]", re.DOTALL)
+_HEADER_ROUND = re.compile(r"(?P<name>.*?)\s*\((?P<symbol>[^()]*)\)", re.DOTALL)
+
+#: Brackets of East Asian keyboards, as those that units stand in.
+_BRACKETS = str.maketrans(
+    "\uff3b\uff3d\u3010\u3011\uff08\uff09",
+    "[][]()",
+)
 
 
 class Angle(float):
@@ -112,11 +129,28 @@ def find_unit(symbol: str) -> Unit:
     return unit
 
 
+def is_unit(symbol: str) -> bool:
+    """Return True if calib knows a unit by this symbol, in any of its spellings."""
+    text = symbol.strip()
+    return _SPELLINGS.get(text, text) in UNITS
+
+
 def split_header(text: str) -> tuple[str, str | None]:
-    """Split a column header into its name and the unit's symbol in square brackets at its end; None if none end it."""
-    match = _HEADER.fullmatch(text.strip())
+    """Split a column header into its name and the unit's symbol in brackets at its end.
+
+    Args:
+        text: Such as ``"x [mm]"``; or ``"x (mm)"``, in round brackets if calib knows the unit, for ``"force (raw)"`` is
+            a name.
+
+    Returns:
+        Name and symbol, as written; None if no brackets end the header.
+    """
+    plain = text.translate(_BRACKETS).strip()
+    match = _HEADER.fullmatch(plain)
     if match is None:
-        return text.strip(), None
+        match = _HEADER_ROUND.fullmatch(plain)
+        if match is None or not is_unit(match["symbol"]):
+            return plain, None
     return match["name"].strip(), match["symbol"].strip()
 
 

@@ -23,6 +23,12 @@ SUFFIXES = (".xlsx", ".xlsm")
 #: Between the name of a file and that of its sheet.
 _BEFORE_SHEET = "#"
 
+#: How missing values of other libraries write themselves.
+_MISSING = ("nan", "<NA>", "NaT")
+
+#: Whole numbers below this are written without a point: where some are missing, libraries make floats of all.
+_WHOLE = 1e15
+
 #: Exceptions of openpyxl for a file that is not of Excel, or is damaged.
 _DAMAGED = (BadZipFile, KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError)
 
@@ -75,7 +81,7 @@ def read_sheet(data: bytes, source: str, sheet: str) -> tuple[str, str]:
                     f"{source}, sheet '{name}', cell {cell.coordinate}: the formula has no value. Open and "
                     "save the file in Excel or LibreOffice, which compute it, or save it as CSV."
                 )
-        writer.writerow([_text_of_cell(cell.value) for cell in row])
+        writer.writerow([text_of_cell(cell.value) for cell in row])
     return text.getvalue(), "" if len(sheets) == 1 else name
 
 
@@ -102,14 +108,19 @@ def _load(data: bytes, source: str, *, values: bool) -> Workbook:
         ) from error
 
 
-def _text_of_cell(value: object) -> str:
-    """Return a cell's value as text: a number with all its digits, a date marked as one, nothing for an empty cell."""
-    if value is None:
+def text_of_cell(value: object) -> str:
+    """Return a cell's value as text: a number with all its digits, a date marked as one, nothing for a missing value.
+
+    Args:
+        value: A number, a text, a truth value, a date; what pandas and polars have for a missing one is none.
+    """
+    if value is None or str(value) in _MISSING:
         return ""
     if isinstance(value, bool):
         return str(value).upper()
-    if isinstance(value, (int, float)):
-        return repr(value)
+    if isinstance(value, float):
+        number = float(value)
+        return str(int(number)) if number.is_integer() and abs(number) < _WHOLE else repr(number)
     if isinstance(value, (date, time, timedelta)):
         return f"date {value}"
     return " ".join(str(value).split())

@@ -40,6 +40,10 @@ class Verb(TyperCommand):
         Returns:
             The words that were not parsed.
         """
+        if (
+            ctx.resilient_parsing
+        ):  # for a shell that completes words, which no plugin shall slow down
+            return super().parse_args(ctx, args)
         given, _, order = self.make_parser(ctx).parse_args(args=[*args])
         for option in self.get_params(ctx):
             # A switch such as --force may come again; --robust beside --no-robust may not.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table
-from calib.basics.units import UNITS, Quantity, split_header, symbols
+from calib.basics.units import UNITS, Quantity, find_unit, is_unit, split_header, symbols
 from calib.data.forms import orientations
 from calib.data.forms.column_options import (
     ColumnOptions,
@@ -104,6 +105,29 @@ def list_columns(table: Table) -> str:
     return f"The columns found: {choices(labels, limit=30)}."
 
 
+def with_unit_elsewhere(table: Table, name: str, quantity: Quantity | None) -> str:
+    """Return the sentence on a header that has its unit elsewhere than in brackets, such as ``x_mm``.
+
+    Args:
+        table: The table.
+        name: The name of a column that it lacks.
+        quantity: What its numbers are; None: words or numbers without a unit.
+
+    Returns:
+        The sentence with its remedy, for messages; empty if there is no such header.
+    """
+    for label in table.header if quantity else ():
+        rest = label[len(name) :] if label.casefold().startswith(name.casefold()) else ""
+        words = [word for word in re.split(r"[^\w.\N{DEGREE SIGN}]+|_", rest) if word]
+        unit = find_unit(words[0]) if words and is_unit(words[0]) else None
+        if unit is not None and unit.quantity == quantity:
+            header = f"{name} [{unit.symbol}]"
+            return (
+                f" Is it '{label}'? Write the header '{header}', or --columns \"{label}={header}\"."
+            )
+    return ""
+
+
 def column_names(table: Table, columns: ColumnsInput = None) -> set[str] | None:
     """Return the names by which a table's columns may be called, without their units.
 
@@ -187,7 +211,7 @@ def name_columns(
         if name in named and not is_joined:
             first = named[name]
             raise MeasurementError(
-                f"{table.source}: two columns are called '{name}': number {first.index + 1} "
+                f"{table.place}: two columns are called '{name}': number {first.index + 1} "
                 f"('{first.label}') and number {index + 1} ('{label}'). Rename one, or leave "
                 f'one out: --columns "{label}=-".'
             )
@@ -253,7 +277,7 @@ def with_unit(
         MeasurementError: It has no unit, one of another quantity, or a unit although it must not have one.
     """
     kind_of_column = f" ({what})" if what else ""
-    where = f"{table.source}, column '{column.label}'{kind_of_column}"
+    where = f"{table.place}, column '{column.label}'{kind_of_column}"
     if quantity is None:
         if column.symbol not in (None, "", "-", "1"):
             raise MeasurementError(f"{where}: '{column.symbol}' cannot be; there is no unit here.")

@@ -8,22 +8,25 @@ anchor.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.basics.arguments import check_type
+from calib.basics.arguments import check_names, check_type
 from calib.basics.arrays import Array
+from calib.basics.frames import Frame, is_frame, table_of_frame
+from calib.basics.records import changes
 from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.cell_chains import Sight, check_links_named, robot_of_cell, sights_of
 from calib.data.columns import column_names
 from calib.data.measurements import Measurements
 from calib.data.whole_turns import brought_back
-from calib.errors import CalibError, ModelError, choices
+from calib.errors import ArgumentError, CalibError, ModelError, choices
 from calib.robot.dh_file import is_other_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
@@ -31,15 +34,15 @@ from calib.robot.urdf import Urdf, read_urdf
 #: A robot; or the path of its URDF, xacro or DH rows; or its name in example-robot-data, such as ``"ur3"``.
 RobotInput: TypeAlias = Robot | str | Path
 
-#: Measurements, or the path of their table.
-TableInput: TypeAlias = Measurements | str | Path
+#: Measurements; or the path of their table; or their table as a frame of pandas or polars or a dict of columns.
+TableInput: TypeAlias = Measurements | Frame | str | Path
 
 #: A cell, or the path of its file; None: the default cell.
 CellInput: TypeAlias = Cell | str | Path | None
 
 #: Descriptions of the three, for messages.
 ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
-TABLE = "Measurements, or the path of a table"
+TABLE = "Measurements, the path of a table, or a frame or dict of its columns"
 CELL = "a Cell, the path of a cell file, or None"
 
 
@@ -58,6 +61,35 @@ def cell_of(cell: CellInput, argument: str = "cell") -> Cell:
     if cell is None:
         return Cell()
     return cell if isinstance(cell, Cell) else Cell.read(cell)
+
+
+def cell_with(cell: CellInput, robot: RobotInput, **given: str | Sequence[str] | None) -> Cell:
+    """Return a cell with options over it, as the command line takes them over a cell file.
+
+    Args:
+        cell: As a user gave it.
+        robot: As a user gave it; a `Robot` has a base and a tip of its own.
+        **given: Texts by the names of options, such as ``frame="estimate"``; several of an option that can be
+            repeated; None: not given.
+
+    Raises:
+        ArgumentError: A wrong type, or another base or tip than that of a `Robot`.
+        CalibError: A text that the option does not take, or the file cannot be read.
+    """
+    stated = cell_of(cell)
+    typed: dict[str, str | Sequence[str]] = {}
+    for name, words in given.items():
+        if words is None:
+            continue
+        if not isinstance(words, str):
+            check_names(name, words)
+        if isinstance(robot, Robot) and name in ("base", "tip") and words != getattr(robot, name):
+            raise ArgumentError(
+                f"The argument '{name}' is for a robot that is read from a file; the given Robot is from "
+                f"'{robot.base}' to '{robot.tip}'. Leave it out, or give the robot's path."
+            )
+        typed[name] = words
+    return replace(stated, **changes(stated, typed))
 
 
 def robot_of(
@@ -127,14 +159,15 @@ def inputs_of(
     """
     cell = cell_of(cell)
     _check_robot(robot, "robot")
-    check_type("measurements", table, (Measurements, str, Path), TABLE)
+    if not is_frame(table):
+        check_type("measurements", table, (Measurements, str, Path), TABLE)
     if isinstance(table, Measurements):
         sights = tuple(dict.fromkeys(zip(table.groups, table.targets, strict=True)))
         if not isinstance(robot, Robot):
             check_links_named(cell, sights, table.source or "Measurements")
         arm = robot_of(robot, cell, measured=table.joint_names, sights=sights, read=read)
         return arm, brought_back(arm, table), cell
-    read_table = Table.read(table)
+    read_table = Table.read(table) if isinstance(table, (str, Path)) else table_of_frame(table)
     names = column_names(read_table)
     sights = sights_of(read_table, kind=cell.kind)
     if not isinstance(robot, Robot):

@@ -28,6 +28,7 @@ from calib.data.columns import (
     name_columns,
     reserved,
     with_unit,
+    with_unit_elsewhere,
 )
 from calib.data.forms.column_options import (
     ColumnOptions,
@@ -313,9 +314,12 @@ def _joints(
         unit_symbol = "mm" if types.get(missing[0]) == "prismatic" else "deg"
         header = f"{missing[0]} [{unit_symbol}]"
         of_brand = fix_for_brand([split_header(label)[0] for label in table.header])
+        elsewhere = with_unit_elsewhere(
+            table, missing[0], "length" if unit_symbol == "mm" else "angle"
+        )
         raise MeasurementError(
-            f"{table.source}: no column for the joints {', '.join(listed)}. {list_columns(table)}"
-            f"{of_brand} The header of such a column is '{header}'; another name is mapped by "
+            f"{table.place}: no column for the joints {', '.join(listed)}. {list_columns(table)}"
+            f"{of_brand}{elsewhere} The header of such a column is '{header}'; another name is mapped by "
             f'--columns "name in the table={header}".'
         )
     return tuple(joint_with_unit(table, named[n], types.get(n), options) for n in joint_names)
@@ -332,7 +336,8 @@ def _needed(table: Table, named: Named, name: str, quantity: Quantity | None, wh
     header = f"{name} [{COMMON[quantity]}]" if quantity else name
     kinds = " --kind fixed, plane, face and clasp need no position." if name in POINT else ""
     raise MeasurementError(
-        f"{table.source}: {what} need a column '{header}', and there is none. "
-        f'{list_columns(table)} Another name is mapped by --columns "name in the table={header}".'
+        f"{table.place}: {what} need a column '{header}', and there is none. "
+        f"{list_columns(table)}{with_unit_elsewhere(table, name, quantity)} "
+        f'Another name is mapped by --columns "name in the table={header}".'
         f"{kinds}"
     )

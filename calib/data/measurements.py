@@ -17,6 +17,7 @@ from calib.basics.arguments import check_names, mask_of_rows, numbers
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, residual_unit
 from calib.basics.files import csv_bytes, write_atomically
+from calib.basics.frames import Frame, Library, frame_of, table_of_frame
 from calib.basics.tables import Table
 from calib.basics.units import Quantity, split_header
 from calib.basics.values import ReadOnlyMapping, Value, one_line
@@ -73,6 +74,9 @@ _ARRAYS = (
 
 #: Attributes that map names to arrays with an entry a row.
 _MAPPINGS = ("sigma", "readings")
+
+#: Headers of columns of words.
+_WORD_HEADERS = frozenset(name for name, _ in WORD_COLUMNS.values())
 
 #: Least and largest coordinate, joint value or reading [m or rad].
 _REACH = (-FARTHEST, FARTHEST)
@@ -321,6 +325,51 @@ class Measurements(Value):
         for name in set(measurements.kinds):
             check_groups(labels, name, by_word(measurements.groups, measurements.of_kind(name)))
         return measurements
+
+    @classmethod
+    def of(
+        cls,
+        frame: Frame,
+        joint_names: Sequence[str] | None = None,
+        joint_types: Mapping[str, str] | None = None,
+        columns: ColumnsInput = None,
+        kind: str | None = None,
+        points: str | Path | None = None,
+        points_unit: str | None = None,
+        *,
+        needs_all_joints: bool = True,
+    ) -> Measurements:
+        """Read a frame as a table file is read: the same names of columns, units and options.
+
+        Args:
+            frame: A frame of pandas or polars, a table of pyarrow, or a dict of columns, by headers with their units:
+                ``{"joint_1 [deg]": [...], "x [mm]": [...]}``. Missing values are empty cells.
+            joint_names: As of `read`.
+            joint_types: As of `read`.
+            columns: As of `read`.
+            kind: As of `read`.
+            points: As of `read`.
+            points_unit: As of `read`.
+            needs_all_joints: As of `read`.
+
+        Returns:
+            The measured rows, in SI units; ``source`` is the name of the frame's class.
+
+        Raises:
+            ArgumentError: An argument of another type.
+            MeasurementError: The frame cannot be read; the text names row and column.
+        """
+        table = table_of_frame(frame)
+        return cls.read(
+            table,
+            joint_names,
+            joint_types,
+            columns,
+            kind,
+            points,
+            points_unit,
+            needs_all_joints=needs_all_joints,
+        )
 
     @staticmethod
     def columns_of(kind: Kind, measured: Array) -> dict[str, Any]:
@@ -577,6 +626,30 @@ class Measurements(Value):
         Raises:
             FileError: The file exists and ``overwrite`` is False, or it cannot be written.
         """
+        columns = self._columns()
+        rows = [columns, *zip(*columns.values(), strict=True)]
+        write_atomically(path, csv_bytes(rows), overwrite=overwrite)
+
+    def to_frame(self, library: Library = "pandas") -> Any:  # noqa: ANN401  of any library
+        """Return the table that `write` writes, in degrees and millimetres, as a frame that `of` gives back.
+
+        Args:
+            library: ``"pandas"`` or ``"polars"``.
+
+        Returns:
+            A ``pandas.DataFrame`` or a ``polars.DataFrame``; numbers that were not measured are missing values.
+
+        Raises:
+            CalibError: The library is not installed, or another one was named.
+        """
+        columns = {}
+        for header, cells in self._columns().items():
+            has_words = header in _WORD_HEADERS
+            columns[header] = [None if cell == "" and not has_words else cell for cell in cells]
+        return frame_of(columns, library)
+
+    def _columns(self) -> dict[str, Sequence[object]]:
+        """Return the columns to write by their headers; a number that was not measured is an empty text."""
         columns: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
         for attribute, (name, default) in WORD_COLUMNS.items():
             words = getattr(self, attribute)
@@ -588,8 +661,7 @@ class Measurements(Value):
             unit = "" if quantity is None else COMMON[quantity]
             header = f"{name} [{unit}]" if unit else name
             columns[header] = cells_of(values, unit)
-        rows = [columns, *zip(*columns.values(), strict=True)]
-        write_atomically(path, csv_bytes(rows), overwrite=overwrite)
+        return columns
 
     def _number_columns(self) -> Iterator[tuple[str, Quantity | None, Array]]:
         """Yield name, quantity (None: no unit) and values, in SI units, of the columns of numbers to write."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.tables import Column, Table
+from calib.basics.tables import Column, Table, is_blank
 from calib.data.columns import MOVE, POINT, SETS, STATUS, TORQUE, VIA, WORD_COLUMNS
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
@@ -35,6 +35,11 @@ _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _DATE = re.compile(
     r"\d{1,2}[-. ]+[^\W\d_]{3,9}\.?(?:[-. ]+\d{2,4})?|[^\W\d_]{3,9}[-. ]+\d{1,4}"
     r"|\d{1,4}([-/.])\d{1,2}\1\d{1,4}(?: \d{1,2}:\d\d(?::\d\d)?)?|\d{1,2}/\d{1,2}"
+)
+
+#: A number with a sign between its thousands; one comma alone may be decimal.
+_THOUSANDS = re.compile(
+    r"[+-]?\d{1,3}(?:(?:['\u2019 \xa0\u2009\u202f]\d{3})+(?:[.,]\d*)?|(?:,\d{3})+\.\d*|(?:\.\d{3})+,\d*|(?:,\d{3}){2,})"
 )
 
 #: Begins the status of a row of a table of commands that has none.
@@ -96,7 +101,7 @@ def read_values(
     without_joint: Mask | None = None
     if not needs_all_joints and "joints" in blocks:
         columns = layout.blocks["joints"]
-        is_empty = [[row[column.index] == "" for column in columns] for row in table.cells]
+        is_empty = [[is_blank(row[column.index]) for column in columns] for row in table.cells]
         without_joint = np.array(is_empty, dtype=np.bool_).reshape(-1, len(columns))
         blocks["joints"] = _filled(blocks["joints"], without_joint)
     measured = _measured_rows(table, layout, blocks, kinds)
@@ -345,7 +350,7 @@ def _check_kinds(table: Table, layout: Layout, kinds: Words) -> None:
     }
     columns = [column for name in names for column in layout.blocks[name]]
     for i in np.flatnonzero(kinds == "").tolist():
-        if any(table.cells[i][column.index] for column in columns):
+        if not all(is_blank(table.cells[i][column.index]) for column in columns):
             what = (
                 "the cell is empty, and the row has a measurement. Fill in of what kind it is: "
                 f"{choices(layout.kinds)}."
@@ -356,14 +361,19 @@ def _check_kinds(table: Table, layout: Layout, kinds: Words) -> None:
 def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
     """Raise `MeasurementError` on a cell, of a row from 0, that should hold a finite number, with what it holds."""
     text = table.cells[row][column.index][:_QUOTED]
-    if not text:
-        what = "the cell is empty. Fill in the number, or remove the row."
+    if is_blank(text):
+        written = f"holds no number ('{text}')" if text else "is empty"
+        what = f"the cell {written}. Fill in the number, or remove the row."
+    elif text.startswith("#"):
+        what = f"'{text}' is an error of a formula. Mend the formula, or empty the cell."
     elif text.startswith("date ") or _DATE.fullmatch(text):
         date = text.removeprefix("date ")
         what = (
             f"the cell is the date '{date}'. Write the number; Excel turns entries such as 1.5 or "
             "1/5 into dates."
         )
+    elif _THOUSANDS.fullmatch(text):
+        what = f"'{text}' has a sign between thousands. Write the number without it."
     elif "," in text:
         what = (
             f"'{text}' has a decimal comma. Write a point, or put semicolons between the columns."

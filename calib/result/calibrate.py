@@ -17,7 +17,7 @@ from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
-from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
+from calib.data.inputs import CellInput, RobotInput, TableInput, cell_with, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.camera_changes import changes_between_pictures
@@ -63,6 +63,10 @@ def calibrate(
     measurements: TableInput,
     *,
     cell: CellInput = None,
+    base: str | Sequence[str] | None = None,
+    tip: str | Sequence[str] | None = None,
+    target: str | None = None,
+    frame: str | Sequence[str] | None = None,
     model: str | Sequence[Parameter] | None = None,
     solver: str | Solver = "lm",
     robust: bool = True,
@@ -75,12 +79,18 @@ def calibrate(
         robot: The nominal robot, a chain of the URDF from base to tip; or the path of a URDF or xacro, or a name such
             as ``"ur3"``: base and tip are then the cell's, or the URDF's root and the end of the longest chain whose
             joints are all in the table.
-        measurements: Rows of joint values and of what was measured of the target there, or the path of their table.
+        measurements: Rows of joint values and of what was measured of the target there, or the path of their table, or
+            a frame of pandas or polars, or a dict of columns, as `Measurements.of` takes them.
             Rows of the set ``estimate`` are fitted, those of ``validate`` only predicted; rows that are copies of
             others are left out.
         cell: What is known of targets, frames, noise and priors, or the path of a cell file; None: the measurements are
             in the base frame, the target is estimated. Measurements in a tracker's own frame:
             ``Cell(estimate_frame=True)``.
+        base: As ``--base`` on the command line, over the cell: link in whose frame the chain starts, of a robot that is
+            given as a path or by name; ``"NAME=LINK"`` for the frame of a station, several in a list.
+        tip: As ``--tip``: link that the target is mounted on.
+        target: As ``--target``: stated position of the target in the tip, ``"70 -70 22.5 mm"``.
+        frame: As ``--frame``: ``"known"``, ``"estimate"``, or the directions that are not known, ``"x,y,rz"``.
         model: Name of the parameter set, with families after it: ``"auto"`` (the data choose), ``"dh"``, ``"paper"``,
             ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the cell's.
             See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
@@ -102,7 +112,8 @@ def calibrate(
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
-    arm, measured, stated = inputs_of(robot, measurements, cell)
+    stated = cell_with(cell, robot, base=base, tip=tip, target=target, frame=frame)
+    arm, measured, stated = inputs_of(robot, measurements, stated)
     check_flags(robust=robust, validate=validate)
     check_callable("progress", progress)
     if isinstance(model, str):

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.basics.arguments import check_path, check_type, finite_numbers
 from calib.basics.arrays import Array, rigid_inverse
+from calib.basics.frames import Library
 from calib.basics.json_files import digest
 from calib.basics.values import Value, shown_by
 from calib.data.cell import Cell
@@ -34,6 +35,9 @@ from calib.result.result_optics import ResultOptics
 from calib.robot.gravity import Payload
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Number of values that stand for all those between the ends of a measured range.
 _BETWEEN = 73
@@ -223,7 +227,7 @@ class Calibration(Value):
         """Write the report, a page with figures that prints on A4.
 
         Args:
-            path: The HTML file.
+            path: The file, a page (.html) or a PDF (.pdf), which an installed Chromium, Chrome or Edge prints.
             overwrite: Whether a file that exists is replaced.
 
         Returns:
@@ -238,6 +242,57 @@ class Calibration(Value):
         check_path("path", path)
         report = shown_by("verbs.calibrate.report")
         return Path(report.write_report(self, path, overwrite=overwrite))
+
+    def to_frame(
+        self,
+        content: Literal["rows", "parameters", "covariance"] = "rows",
+        library: Library = "pandas",
+        *,
+        non_geometric: bool = False,
+    ) -> Any:  # noqa: ANN401  of any library
+        """Return the rows with their errors, the parameters, or their covariance, as a frame.
+
+        Args:
+            content: ``"rows"``: names, errors of each robot and residuals [mm], [deg], [px], score and weight of each
+                row; ``"parameters"``: the fields of `parameters` in their units; ``"covariance"``: that of the
+                parameters, by their names.
+            library: ``"pandas"`` or ``"polars"``.
+            non_geometric: Whether parameters and covariance are those of the non-geometric model, if there is one.
+
+        Returns:
+            A ``pandas.DataFrame`` or a ``polars.DataFrame``. Of pandas the covariance has the parameters' names as its
+            index, of polars in the column ``parameter``.
+
+        Raises:
+            CalibError: The library is not installed; or another one, or another content, was named.
+        """
+        frames = shown_by("result.result_frames")
+        return frames.result_frame(self, content, library, non_geometric=non_geometric)
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """Names of the figures of the report, which `plot` draws.
+
+        Raises `ModelError` if the result was read from a file, which does not hold the measurements.
+        """
+        drawings = shown_by("verbs.calibrate.figures").drawings(self)
+        return tuple(drawing.name for drawing in drawings)
+
+    def plot(self, name: str) -> Figure:
+        """Draw a figure of the report.
+
+        Args:
+            name: One of `figures`, such as ``"error-curves"``.
+
+        Returns:
+            A ``matplotlib.figure.Figure``, to be shown in a notebook or saved by its ``savefig``.
+
+        Raises:
+            CalibError: There is no such figure, or matplotlib is missing: ``pip install 'robot-calib[report]'``.
+            ModelError: The result was read from a file, which does not hold the measurements.
+        """
+        figure: Figure = shown_by("verbs.calibrate.figures").figure_of(self, name)
+        return figure
 
     @property
     def fit(self) -> FitInMemory:

@@ -7,8 +7,6 @@ from matplotlib.figure import Figure
 
 import calib
 from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.show.plotting import render
-from calib.verbs.calibrate.figures import drawings
 
 # The UR3 of a paper, which comes with calib: 35 points of a laser tracker.
 robot = calib.Robot.load(paper_urdf(), base="base", tip="tool0")
@@ -20,14 +18,11 @@ print(result)
 html = result._repr_html_()
 Path("table.html").write_text(html, encoding="utf-8")
 
-# The report's figures as PNG: in a notebook IPython.display.Image(picture) shows one.
-names = []
-for drawing in drawings(result):
-    picture = render(drawing, "png")
-    Path(f"{drawing.name}.png").write_bytes(picture)
-    names.append(drawing.name)
-    assert picture.startswith(b"\x89PNG")
-print(f"figures: {', '.join(names)}")
+# The report's figures: as the last line of a notebook's cell result.plot("points") shows one.
+for name in result.figures:
+    result.plot(name).savefig(f"{name}.png")
+    assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
+print(f"figures: {', '.join(result.figures)}")
 
 # A figure of one's own: everything that is drawn is an array of the result.
 error = 1e3 * np.linalg.norm(result.rows.residual_calibrated, axis=1)  # of each row [mm]

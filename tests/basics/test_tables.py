@@ -98,7 +98,7 @@ def test_forms_that_are_refused(tmp_path, table):
     refused(path, says=["line 2 (row 1)", "the row has 7 cells, the header has 5", "decimal comma"])
     path.write_bytes(bytes_of([FORM[0], '"1,5",-20,300,0,50']))
     refused(path, says=["line 2 (row 1), column 'joint_1 [deg]'", "'1,5' has a decimal comma"])
-    refused(table(FORM[0], FORM[1] + ","), says=["line 2", "the row has 6 cells"])
+    refused(table(FORM[0], FORM[1] + ",7"), says=["line 2", "the row has 6 cells"])
     header = "J\xf6int [deg],x [mm],y [mm],z [mm]"  # as Excel writes "CSV" on Windows
     ansi = Measurements.read(table(header, "1,200,300,400", encoding="cp1252"))
     assert ansi.joint_names == ("J\xf6int",)

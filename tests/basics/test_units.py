@@ -20,7 +20,25 @@ def test_a_torque_is_written_in_many_ways(symbol):
     assert find_unit(symbol) is UNITS["Nm"]
 
 
-@pytest.mark.parametrize("symbol", ["", "MM", "degree", "m m", "furlong"])
+@pytest.mark.parametrize(
+    ("symbol", "unit"),
+    [
+        *(
+            ("\u00b0", "deg"),
+            ("deg.", "deg"),
+            ("DEG", "deg"),
+            ("degrees", "deg"),
+            ("\u0433\u0440\u0430\u0434", "deg"),
+        ),
+        *(("\u00b5m", "um"), ("\u03bcm", "um"), ("\u339c", "mm"), ("\u043c\u043c", "mm")),
+        *(("\u6beb\u7c73", "mm"), ("inch", "in"), ("radian", "rad"), ("pixels", "px")),
+    ],
+)
+def test_a_unit_is_written_in_words_signs_and_other_scripts(symbol, unit):
+    assert find_unit(symbol) is UNITS[unit]
+
+
+@pytest.mark.parametrize("symbol", ["", "MM", "grad", "m m", "furlong"])
 def test_unknown_unit_names_the_allowed_ones(symbol):
     with pytest.raises(CalibError) as caught:
         find_unit(symbol)
@@ -38,7 +56,9 @@ def test_unknown_unit_names_the_allowed_ones(symbol):
         ("wrist 1 joint [ rad ]", "wrist 1 joint", "rad"),
         ("set", "set", None),
         ("x [mm", "x [mm", None),
-        ("x (mm)", "x (mm)", None),
+        ("x (mm)", "x", "mm"),
+        ("x (raw)", "x (raw)", None),
+        ("x \uff3bmm\uff3d", "x", "mm"),
         ("force [N]", "force", "N"),
         ("x []", "x", ""),
         ("", "", None),

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.cli.loading import load, load_with_data, with_chain_of_result, with_target_link
+from calib.cli.loading import load, load_with_data, with_target_link
 from calib.cli.options import FitOptions, TableOptions
 from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.example import paper_urdf
 from calib.model.parameter_sets import DIRECTIONS
 from calib.result.calibration_file import read_result
+from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.robot import Robot
 
 CELL = """

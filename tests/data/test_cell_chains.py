@@ -11,7 +11,7 @@ import pytest
 from calib.basics.tables import Table
 from calib.boards.board import Board
 from calib.camera.camera import Camera
-from calib.cli.loading import load, load_with_data, with_chain_of_result
+from calib.cli.loading import load, load_with_data
 from calib.data.cell import Cell, FurtherRobot
 from calib.data.cell_chains import (
     cell_of_sight,
@@ -29,6 +29,7 @@ from calib.data.inputs import inputs_of
 from calib.data.measurements import Measurements
 from calib.errors import CalibError, MeasurementError, ModelError, UrdfError
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf

@@ -82,7 +82,7 @@ def test_columns_are_renamed_and_given_units(table):
     [
         ("a,b [deg],x [mm],y [mm],z [mm]", "ab", ["column 'a'", "no unit", "'a [deg]'", "mrad"]),
         ("a [deg],b [deg],x,y [mm],z [mm]", "ab", ["column 'x'", "no unit", "'x [mm]'"]),
-        ("a [deg],b [deg],x [mm],y [mm],z (mm)", "ab", ["need a column 'z [mm]'", "'z (mm)'"]),
+        ("a [deg],b [deg],x [mm],y [mm],z/mm", "ab", ["need a column 'z [mm]'", "'z/mm'"]),
         ("a [deg],b [grad],x [mm],y [mm],z [mm]", "ab", ["'b [grad]'", "'grad' is not a unit"]),
         ("a [deg],b [deg],x [deg],y [mm],z [mm]", "ab", ["'x [deg]'", "not a unit of length"]),
         ("a [deg],a [rad],x [mm],y [mm],z [mm]", "a", ["two columns", "'a'", "number 2"]),

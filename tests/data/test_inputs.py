@@ -126,3 +126,28 @@ def test_pictures_of_results_and_robots_by_their_files(result, tmp_path, monkeyp
         shutil.rmtree(page.parent)
     page = calib.view(result.nominal, URDF)
     shutil.rmtree(page.parent)
+
+
+def test_options_of_the_command_line_stand_over_the_cell(
+    cell_file: Path, result: calib.Calibration
+):
+    frame = calib.Measurements.read(TABLE).to_frame()
+    told = {"base": "base", "tip": "tool0", "target": "-70 70 22.5 mm", "model": "zeros"}
+    by_words = calib.calibrate(str(URDF), frame, **told, validate=False)
+    assert np.array_equal(by_words.geometry.x, result.geometry.x)
+    over_cell = calib.calibrate(URDF, TABLE, cell=cell_file, frame="estimate", validate=False)
+    assert over_cell.fit.cell.estimate_frame
+    assert not result.fit.cell.estimate_frame
+    assert "frame_x" in over_cell.model.names
+    some = calib.calibrate(URDF, TABLE, cell=cell_file, frame="x,rz", validate=False)
+    assert {"frame_x", "frame_rz"} == {n for n in some.model.names if n.startswith("frame")}
+    robot = calib.Robot.load(URDF, "base", "tool0")
+    assert (
+        calib.calibrate(robot, TABLE, base="base", model="zeros", validate=False).nominal == robot
+    )
+    for wrong in ({"tip": "ee_link"}, {"base": 5}):
+        with pytest.raises(ArgumentError):
+            calib.calibrate(robot, TABLE, **wrong, validate=False)
+    for wrong in ({"frame": "somewhere"}, {"target": "70 mm"}, {"base": "nowhere"}):
+        with pytest.raises(CalibError):
+            calib.calibrate(URDF, TABLE, **({"base": "base"} | wrong), validate=False)

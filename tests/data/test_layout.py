@@ -39,7 +39,9 @@ def test_prismatic_joints(table):
 
 def test_missing_joints_are_named_with_what_is_close(table):
     path = table("Elbow [deg],sholder_pan_joint [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
-    text = refused(path, joint_names=["shoulder_pan_joint", "elbow", "tool"], says="data.csv: ")
+    text = refused(
+        path, joint_names=["shoulder_pan_joint", "elbow", "tool"], says="data.csv, line 1: "
+    )
     assert "'shoulder_pan_joint' (did you mean 'sholder_pan_joint'?)" in text
     assert "'elbow' (did you mean 'Elbow'?), 'tool'." in text
     assert "The columns found: 'Elbow [deg]', " in text

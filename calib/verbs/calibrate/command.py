@@ -56,7 +56,7 @@ class Outputs:
         typer.Option(
             "--report",
             metavar="FILE",
-            help="Write a report with figures to print and sign: a page, .html.",
+            help="Write a report with figures to print and sign: a page, .html, or a PDF, .pdf.",
         ),
     ] = None
     figures: Annotated[
@@ -94,9 +94,9 @@ class Outputs:
 
             require_matplotlib("A report" if self.report is not None else "A figure")
         if self.report is not None:
-            from calib.show.as_html import check_ending
+            from calib.show.report_file import check_report
 
-            check_ending(self.report)
+            check_report(self.report)
         files = (self.output, self.json, self.view, self.report)
         check_outputs(files, inputs, force=self.force)
 

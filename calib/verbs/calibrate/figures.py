@@ -21,12 +21,12 @@ import calib.verbs.calibrate.figure_joints as joints
 import calib.verbs.calibrate.figure_model as model
 import calib.verbs.calibrate.figure_space as space
 from calib.basics.files import make_folder, write_atomically
-from calib.errors import FileError
+from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.result.calibration import Calibration
 from calib.robot.ranges import SPREAD
 from calib.show.blocks import Drawing
 from calib.show.look import rows_text
-from calib.show.plotting import render, require_matplotlib
+from calib.show.plotting import render, require_matplotlib, styled
 from calib.verbs.calibrate.seen_corners import image_rows
 
 if TYPE_CHECKING:
@@ -135,6 +135,20 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
             draw = partial(kind.draw, calibration)
             made.append(Drawing(name, entry["section"], entry["title"], caption, draw))
     return tuple(made)
+
+
+def figure_of(calibration: Calibration, name: str) -> Figure:
+    """Draw a figure of a calibration by its name, see `Calibration.plot`."""
+    made = {drawing.name: drawing for drawing in drawings(calibration)}
+    if name not in made:
+        fault = "There is no figure" if name not in FIGURES else "This result has no figure"
+        raise CalibError(
+            f"{fault} '{name}'{did_you_mean(name, made)}; it has {choices(made, limit=len(made))}."
+        )
+    require_matplotlib("A figure")
+    with styled():
+        figure: Figure = made[name].draw()
+    return figure
 
 
 @cache

@@ -25,7 +25,7 @@ from calib.numerics.errors import interval_factor
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import versions
 from calib.result.fitted_model import ParameterEstimate
-from calib.show.as_html import check_ending, notebook_html, page_bytes
+from calib.show.as_html import notebook_html
 from calib.show.as_text import blocks_text, page_text
 from calib.show.blocks import (
     HTML,
@@ -45,6 +45,7 @@ from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn, ErrorRow, error_
 from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import deg, mm, plural, times
 from calib.show.plotting import require_matplotlib
+from calib.show.report_file import check_report, report_bytes
 from calib.show.robot_sentences import coupling_sentence, rows_sentence
 from calib.show.tables import MOST_LISTED
 from calib.show.verdict_text import reason_text
@@ -90,11 +91,11 @@ def write_report(
     command: str = "",
     overwrite: bool = False,
 ) -> Path:
-    """Write the report of a calibration as one HTML page.
+    """Write the report of a calibration as one HTML page, or as PDF.
 
     Args:
         calibration: The result.
-        path: Name of the file, which ends in .html or .htm.
+        path: Name of the file, which ends in .html, .htm or .pdf.
         command: The command line that made the calibration; empty if there was none.
         overwrite: Replace an existing file.
 
@@ -102,12 +103,12 @@ def write_report(
         The file's path.
 
     Raises:
-        CalibError: Matplotlib is missing, which draws the figures.
-        FileError: The name does not end in .html or .htm, the file exists, or it cannot be written.
+        CalibError: Matplotlib is missing, which draws the figures; or no browser is installed for a PDF.
+        FileError: The name does not end in .html, .htm or .pdf, the file exists, or it cannot be written.
     """
-    check_ending(path)
+    check_report(path)
     require_matplotlib("A report")
-    page = page_bytes(report(calibration, command=command))
+    page = report_bytes(report(calibration, command=command), path)
     return write_atomically(path, page, overwrite=overwrite)
 
 

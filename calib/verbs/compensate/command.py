@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import typer
 
-from calib.cli.loading import coupling_of_result, load
+from calib.cli.loading import load
 from calib.cli.notices import say_accepted
 from calib.cli.options import Accept, CellOptions, ColumnChoice, Force, Quiet, RobotFile
 from calib.cli.output_files import check_outputs
@@ -553,6 +553,8 @@ def _with_chain_of(result: Calibration, cell: Cell, path: str) -> Cell:
 
     The path of the result's file is for messages.
     """
+    from calib.result.chain_of_result import coupling_of_result
+
     chain = result.nominal
     return replace(
         cell,

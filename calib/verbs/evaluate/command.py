@@ -12,7 +12,7 @@ import typer
 
 from calib.basics.files import read_bytes
 from calib.cli.exit_status import ExitStatus
-from calib.cli.loading import load_with_data, with_chain_of_result, with_target_link
+from calib.cli.loading import load_with_data, with_target_link
 from calib.cli.notices import say_coupled, say_ignored
 from calib.cli.options import (
     TARGET_OF_RESULT,
@@ -141,7 +141,9 @@ def evaluate(
     report: Annotated[
         Path | None,
         typer.Option(
-            "--report", metavar="FILE", help="Write a report to print and sign: a page, .html."
+            "--report",
+            metavar="FILE",
+            help="Write a report to print and sign: a page, .html, or a PDF, .pdf.",
         ),
     ] = None,
     force: Force = False,
@@ -155,14 +157,15 @@ def evaluate(
 ) -> None:
     """Evaluate, write the files and print the errors; exit status 3 if a tolerance is not shown to be kept."""
     from calib.result.calibration_file import read_result, write_table
-    from calib.show.as_html import check_ending
+    from calib.result.chain_of_result import with_chain_of_result
+    from calib.show.report_file import check_report
     from calib.show.robot_sentences import other_run_sentence
     from calib.verbs.evaluate.acceptance import assess
     from calib.verbs.evaluate.evaluation_file import assessment_table
     from calib.verbs.evaluate.report import Origins, summary, write_report
 
     if report is not None:
-        check_ending(report)
+        check_report(report)
     inputs: list[str | Path | None] = [
         robot,
         data,

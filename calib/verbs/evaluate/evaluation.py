@@ -6,23 +6,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calib.basics.arguments import check_names, check_path, check_type
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import Channels
+from calib.basics.frames import Library, frame_of
 from calib.basics.jobs import one_blas_thread
 from calib.basics.values import ReadOnlyMapping, Value, shown_by
 from calib.boards.board import Board
 from calib.camera.camera import Camera
 from calib.data.cell import Cell
+from calib.data.cell_chains import robot_with_chains_of
 from calib.data.columns import DEFAULT_TARGET
-from calib.data.inputs import CellInput, RobotInput, TableInput, inputs_of
+from calib.data.inputs import CellInput, RobotInput, TableInput, cell_of, inputs_of
 from calib.data.measurements import Measurements
 from calib.data.record import BLANK, Record
 from calib.diagnosis.reasons import Reason, Why
-from calib.errors import CalibError, ModelError, choices, did_you_mean
+from calib.errors import ArgumentError, CalibError, ModelError, choices, did_you_mean
 from calib.fit.registration.board_ends import with_ends_of
 from calib.fit.registration.registration import nominal_setup, register_held_out
 from calib.fit.registration.rows import Rows
@@ -32,12 +35,18 @@ from calib.model.kinematics import Samples
 from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.errors import Errors
 from calib.result.board_errors import BoardErrors, board_errors
+from calib.result.calibration import Calibration
+from calib.result.chain_of_result import with_chain_of_result
 from calib.result.fitted_model import NonGeometric
+from calib.result.result_frames import error_columns
 from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
 from calib.show.measured_rows import chains_of_rows
 
 #: Places that may be taken from an earlier result.
 PLACES = ("frame", "target")
+
+_RESULT = "a Calibration, or the path of its file"
 
 #: The reason that names a place which has moved, by the place; of two that explain the errors equally the last counts.
 _MOVED = {"frame": Why.FRAME_MOVED, "target": Why.TARGET_MOVED}
@@ -165,7 +174,7 @@ class Evaluation(Value):
         """Write the report, a page that prints on A4, with the characteristics of ISO 9283 and a first page to sign.
 
         Args:
-            path: The HTML file.
+            path: The file, a page (.html) or a PDF (.pdf), which an installed Chromium, Chrome or Edge prints.
             accepted: Result of `calib.acceptance` for this evaluation; None: no tolerance is tested.
             overwrite: Whether a file that exists is replaced.
 
@@ -180,6 +189,30 @@ class Evaluation(Value):
         check_path("path", path)
         report = shown_by("verbs.evaluate.report")
         return Path(report.write_evaluation_report(self, accepted, path, overwrite=overwrite))
+
+    def to_frame(self, library: Library = "pandas") -> Any:  # noqa: ANN401  of any library
+        """Return the rows with their errors and residuals [mm], [deg], [px], as a frame.
+
+        Args:
+            library: ``"pandas"`` or ``"polars"``.
+
+        Returns:
+            A ``pandas.DataFrame`` or a ``polars.DataFrame``.
+
+        Raises:
+            CalibError: The library is not installed, or another one was named.
+        """
+        m = self.measurements
+        names = {
+            "row": m.rows,
+            "set": m.sets,
+            "kind": m.kinds,
+            "group": m.groups,
+            "target": m.targets,
+        }
+        errors = error_columns({self.robot.name: self.residual}, self.channels)
+        own = {name.removeprefix(f"{self.robot.name} "): values for name, values in errors.items()}
+        return frame_of({**names, **own}, library)
 
     @property
     def used(self) -> Mask:
@@ -219,6 +252,7 @@ def evaluate(
     measurements: TableInput,
     cell: CellInput = None,
     *,
+    calibration: Calibration | str | Path | None = None,
     known: Setup | None = None,
     which: tuple[str, ...] = PLACES,
     non_geometric: NonGeometric | None = None,
@@ -235,6 +269,9 @@ def evaluate(
         measurements: The N rows, or the path of their table.
         cell: What is known of target and frame, payload and gravity, or the path of a cell file; None: nothing, and the
             measurements are in the base frame.
+        calibration: An earlier result of this robot, or the path of its file: the robot is evaluated with the joint
+            origins, chain, frames and targets of that result, whether it is given as nominal or as corrected; with
+            ``non_geometric`` by that model. None: the robot is evaluated as it is.
         known: Frames and targets of an earlier result, which win over the cell's: `Calibration.setup`, or its
             ``nominal_setup`` for the nominal robot; None: there are none.
         which: Places taken from ``known``: its ``"frame"``, its ``"target"`` or both.
@@ -253,7 +290,23 @@ def evaluate(
             has a station that it lacks and whose frame is not to be registered; targets are taken from a result of
             several hands that lacks one of the table's; or ``which`` has another name.
     """
-    arm, table, known_cell = inputs_of(robot, measurements, cell)
+    if calibration is not None:
+        check_type("calibration", calibration, (Calibration, str, Path), _RESULT)
+        if known is not None:
+            raise ArgumentError(
+                "The argument 'known' is frames and targets, which 'calibration' has too. Give one of them."
+            )
+        result = calibration
+        if not isinstance(result, Calibration):
+            result = Calibration.read_json(result)
+        stated = with_chain_of_result(cell_of(cell), result, "The calibration")
+        if not isinstance(robot, Robot) and (result.nominal.branches or result.nominal.parts):
+            robot = robot_with_chains_of(result.nominal, read_urdf(str(robot)), stated.held)
+        arm, table, known_cell = inputs_of(robot, measurements, result.complete_cell(stated))
+        arm = result.corrected(arm) if non_geometric is None else result.uncorrected(arm)
+        known = result.setup
+    else:
+        arm, table, known_cell = inputs_of(robot, measurements, cell)
     check_names("which", which)
     check_type("known", known, (Setup, type(None)), "the setup of a Calibration, or None")
     check_type(

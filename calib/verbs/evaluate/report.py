@@ -13,7 +13,7 @@ from pathlib import Path
 from calib.basics.arguments import check_type
 from calib.basics.files import write_atomically
 from calib.result.calibration_file import versions
-from calib.show.as_html import check_ending, notebook_html, page_bytes
+from calib.show.as_html import notebook_html
 from calib.show.as_text import page_text
 from calib.show.blocks import (
     EVERYWHERE,
@@ -32,6 +32,7 @@ from calib.show.blocks import (
 from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn
 from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import listed, mm
+from calib.show.report_file import check_report, report_bytes
 from calib.show.verdict_text import reason_text
 from calib.show.words import chain_name, kinds_text, with_unit
 from calib.verbs.evaluate import tables
@@ -97,11 +98,11 @@ def write_evaluation_report(
 def write_report(
     e: Assessment, path: str | Path, origins: Origins = _NO_FILES, *, overwrite: bool = False
 ) -> Path:
-    """Write the report of an evaluation as one HTML page.
+    """Write the report of an evaluation as one HTML page, or as PDF.
 
     Args:
         e: The evaluation.
-        path: Name of the file, which ends in .html or .htm.
+        path: Name of the file, which ends in .html, .htm or .pdf.
         origins: Its sources.
         overwrite: Replace an existing file.
 
@@ -109,10 +110,11 @@ def write_report(
         The file's path.
 
     Raises:
-        FileError: The name does not end in .html or .htm, the file exists, or it cannot be written.
+        CalibError: No browser is installed for a PDF.
+        FileError: The name does not end in .html, .htm or .pdf, the file exists, or it cannot be written.
     """
-    check_ending(path)
-    return write_atomically(path, page_bytes(report(e, origins)), overwrite=overwrite)
+    check_report(path)
+    return write_atomically(path, report_bytes(report(e, origins), path), overwrite=overwrite)
 
 
 def report(

@@ -1,1 +1,1 @@
-"""Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified."""
+"""Say what a folder holds and what comes next; or show a robot's chain, and what measurements tell of it."""

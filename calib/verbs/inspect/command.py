@@ -11,8 +11,9 @@ import typer
 
 from calib.cli.loading import load, load_with_data
 from calib.cli.notices import say_ignored
-from calib.cli.options import ModelOptions, RobotFile, TableOptions
+from calib.cli.options import ModelOptions, TableOptions
 from calib.cli.verb import verb
+from calib.errors import CalibError
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,17 +28,26 @@ class InspectOptions(ModelOptions):
     }
 
 
-@verb("""Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified.
+@verb("""Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified; or a folder.
 
 \b
 Examples:
+  calib inspect .
   calib inspect ur3 --base base --tip tool0
   calib inspect robot.urdf data.csv --model hayati
 
+Of a folder it says what is there, which robots, tables, cells and results belong together, and the next command.
 With a table, identifiability is that of its poses; without one, of 200 poses spread over the joint limits.
 """)
 def inspect(
-    robot: RobotFile,
+    robot: Annotated[
+        str,
+        typer.Argument(
+            metavar="ROBOT|FOLDER",
+            help="URDF or xacro file (a xacro's arguments follow its name in the same quotes), DH rows, or the name of "
+            "a robot in example-robot-data, such as 'ur3'; or a folder.",
+        ),
+    ],
     cell_options: InspectOptions,
     table_options: TableOptions,
     data: Annotated[
@@ -45,7 +55,17 @@ def inspect(
         typer.Argument(metavar="[DATA]", help="Table whose poses are used instead of random ones."),
     ] = None,
 ) -> None:
-    """Load the robot, and the table if there is one, and print what can be identified."""
+    """Load the robot, and the table if there is one, and print what can be identified; or look into a folder."""
+    if Path(robot).is_dir():
+        if data is not None or cell_options.file or cell_options.given:
+            raise CalibError(
+                f"'{robot}' is a folder, which is looked into without a table or options: calib inspect {robot}"
+            )
+        from calib.verbs.inspect.folder import look_into
+        from calib.verbs.inspect.folder_text import folder_text
+
+        typer.echo(folder_text(look_into(Path(robot))))
+        return
     from calib.verbs.inspect.inspection import inspect as inspect_robot
     from calib.verbs.inspect.text import inspection_text
     from calib.verbs.plan.forecast import forecast_of_table

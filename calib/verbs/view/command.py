@@ -12,7 +12,6 @@ import typer
 from calib.cli.loading import (
     load,
     load_with_data,
-    with_chain_of_result,
     with_target_link,
 )
 from calib.cli.options import (
@@ -84,6 +83,8 @@ def view(
     cell = cell_options.cell()
     result = None
     if calibration is not None:
+        from calib.result.chain_of_result import with_chain_of_result
+
         result = read_result(calibration)
         cell = with_chain_of_result(cell, result, str(calibration))
     measurements = None

@@ -296,7 +296,7 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--seed", "3"), "--seed is for the samples of --bootstrap;"),
         (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
         (("data.csv", "robot.urdf"), "ROBOT comes first, then DATA."),
-        (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1'"),
+        (("panda", "data.csv"), "data.csv, line 1: no column for the joints 'panda_joint1'"),
     ],
 )
 def test_errors_are_one_line(call, shop, words: tuple[str, ...], said: str):

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from calib.errors import FileError
+from calib.errors import CalibError, FileError
 from calib.show.plotting import render
 from calib.verbs.calibrate import figures
 from calib.verbs.calibrate.figures import CAPTIONS, drawings, write_figures
@@ -87,3 +87,17 @@ def test_all_are_written_and_none_is_written_over(calibrations, tmp_path, monkey
     for drawing in drawings(c):
         entry = f"## {drawing.name}.svg\n\n**{drawing.title}.** {drawing.caption}\n"
         assert entry in text
+
+
+def test_a_figure_of_the_report_is_drawn_by_its_name(calibrations):
+    from matplotlib.figure import Figure
+
+    result = calibrations.made("paper")
+    assert result.figures == tuple(drawing.name for drawing in drawings(result))
+    assert "image-residuals" not in result.figures
+    figure = result.plot("error-curves")
+    assert isinstance(figure, Figure)
+    assert figure.axes
+    for name in ("error-curve", "image-residuals"):
+        with pytest.raises(CalibError, match="'error-curves'"):
+            result.plot(name)

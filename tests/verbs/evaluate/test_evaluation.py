@@ -10,7 +10,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.diagnosis.reasons import Reason, Why
-from calib.errors import ModelError
+from calib.errors import ArgumentError, CalibError, ModelError
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.result.calibrate import calibrate
@@ -50,6 +50,39 @@ def test_the_nominal_errors_are_those_of_the_fit(case):
     assert "target" in found.registered
     scene = not {"point", "pose", "pair"} & set(c.fit.measurements.kinds)
     assert ("frame" in found.registered) == (c.fit.cell.estimate_frame or scene)
+
+
+def test_a_result_gives_its_chain_origins_frames_and_targets(case):
+    """Nominal or corrected, the robot has the errors that the fit says of the calibrated one, for every kind."""
+    _, c = case
+    cell = replace(c.fit.cell, target=None, targets={}, T_frame_base=None, frames={})
+    m = c.fit.measurements
+    for robot in (c.nominal, c.robot):
+        found = evaluate(robot, m, cell, calibration=c)
+        np.testing.assert_allclose(found.residual, c.rows.residual_calibrated, rtol=0, atol=1e-8)
+        assert found.registered == ()
+    if c.non_geometric is not None:
+        found = evaluate(c.robot, m, cell, calibration=c, non_geometric=c.non_geometric)
+        np.testing.assert_allclose(found.residual, c.non_geometric.residual, rtol=0, atol=1e-8)
+
+
+def test_a_result_may_be_its_file_and_the_robot_a_path(calibrated, tmp_path):
+    _, c = calibrated("points")
+    c.nominal.urdf.write(tmp_path / "robot.urdf")
+    c.write_json(tmp_path / "result.json")
+    frame = c.fit.measurements.to_frame()
+    found = evaluate(tmp_path / "robot.urdf", frame, calibration=tmp_path / "result.json")
+    np.testing.assert_allclose(found.residual, c.rows.residual_calibrated, atol=1e-9)
+    assert (found.robot.base, found.robot.tip) == (c.nominal.base, c.nominal.tip)
+    table = found.to_frame()
+    rms = np.sqrt(np.mean(table["error [mm]"] ** 2))
+    assert rms == pytest.approx(1e3 * found.errors["all"]["m"].rms, rel=1e-12)
+    with pytest.raises(ArgumentError, match="Give one of them"):
+        evaluate(c.nominal, frame, calibration=c, known=c.setup)
+    with pytest.raises(ArgumentError):
+        evaluate(c.nominal, frame, calibration=5)
+    with pytest.raises(CalibError, match="elsewhere"):
+        evaluate(c.nominal, frame, Cell(base="elsewhere"), calibration=c)
 
 
 def test_what_is_known_wins_over_the_cell(calibrated):
