@@ -25,6 +25,9 @@ from calib.robot import flange
 from calib.robot.cylinder_urdf import REMARK, dh_urdf
 from calib.robot.dh_file import ENDINGS, read_dh_robot, robot_of_json
 from calib.robot.dh_rows import DHRobot
+from calib.robot.mjcf import Mjcf
+from calib.robot.mjcf_files import is_mjcf
+from calib.robot.mjcf_urdf import REMARK as MJCF_REMARK, MjcfOrigin, mjcf_urdf
 from calib.robot.ur_models import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
@@ -144,6 +147,26 @@ class Urdf(Value):
                     f"again from its rows. {error}"
                 ) from error
         return None
+
+    @property
+    def mjcf(self) -> MjcfOrigin | None:
+        """The MJCF from which it was made, as a comment of the file states; None for any other URDF.
+
+        Raises:
+            UrdfError: The comment was changed.
+        """
+        text = self._stated(MJCF_REMARK)
+        if not text:
+            return None
+        try:
+            stated = parse_json(text, self.source)
+            return MjcfOrigin(
+                stated["file"], stated["sha256"], stated["refused"], tuple(stated["mass_of_geoms"])
+            )
+        except (CalibError, KeyError, TypeError) as error:
+            raise UrdfError(
+                f"{self.source}: the comment '{MJCF_REMARK.strip(': ')}' was changed. Remove it, or read the MJCF again."
+            ) from error
 
     def elements(self) -> AnyElement:
         """Return the whole file as elements, a new tree at each call."""
@@ -391,10 +414,24 @@ def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
     return replace(Urdf.from_bytes(dh_urdf(robot), source, path), _rows=robot)
 
 
+def urdf_of_mjcf(path: Path) -> Urdf:
+    """Return the URDF of a MuJoCo model, whose links are its bodies and sites; see `calib.robot.mjcf_urdf`.
+
+    Raises:
+        FileError: A file of it cannot be read.
+        UrdfError: It is not a model that calib can take.
+    """
+    data = mjcf_urdf(Mjcf.read(path))
+    try:
+        return Urdf.from_bytes(data, path.name, path)
+    except UrdfError as error:
+        raise UrdfError(f"{error} This is about the URDF that calib makes of the model.") from error
+
+
 def read_urdf(source: str | Path) -> Urdf:
     """Read the URDF of a file, of a xacro that arguments may follow, or of a robot by its name.
 
-    A file of DH rows is read as the URDF that they state. Names are those of example-robot-data and, for arms that it
+    A file of DH rows or a MuJoCo model (MJCF) is read as the URDF that it states. Names are those of example-robot-data and, for arms that it
     does not have, those of Universal Robots' arms, such as ``"ur10e"``.
 
     Raises:
@@ -416,7 +453,10 @@ def read_urdf(source: str | Path) -> Urdf:
     if path is not None:
         if path.suffix.lower() in ENDINGS:
             return urdf_of_dh(read_dh_robot(path), path.name, path)
-        return Urdf.read(path)
+        data = read_bytes(path, "URDF")
+        if is_mjcf(data):
+            return urdf_of_mjcf(path)
+        return Urdf.from_bytes(data, path.name, path)
 
     name = str(source)
     if name == flange.NAME:
@@ -428,7 +468,7 @@ def read_urdf(source: str | Path) -> Urdf:
     known = sorted(files | {model.plain for model in MODELS} | {flange.NAME})
     raise UrdfError(
         f"'{name}' is neither a file here nor a robot whose name calib knows{_similar(name, known)}. Give the path of "
-        f"a URDF, a xacro or DH rows, or one of {choices(known)}."
+        f"a URDF, a xacro, an MJCF or DH rows, or one of {choices(known)}."
     )
 
 

@@ -35,7 +35,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 @dataclass(slots=True)
 class Element:
-    """An element of the upper three levels."""
+    """An element of the upper levels."""
 
     #: Name of the element.
     tag: str
@@ -85,7 +85,9 @@ class Document:
     comments: tuple[Comment, ...]
 
     @classmethod
-    def from_bytes(cls, data: bytes, source: str) -> Document:
+    def from_bytes(
+        cls, data: bytes, source: str, what: str = "URDF", depth: int = _DEPTH
+    ) -> Document:
         """Parse an XML file.
 
         Blanks before its XML declaration, as generators leave them, are put after it: lines keep their numbers.
@@ -93,6 +95,8 @@ class Document:
         Args:
             data: The file, byte for byte.
             source: Its name, for messages.
+            what: The kind of file that is wanted, for messages.
+            depth: Number of levels of elements that are recorded.
 
         Raises:
             UrdfError: It is not XML, empty, xacro, or of an encoding that cannot be used; the text says where.
@@ -102,7 +106,7 @@ class Document:
         data = _LATE_DECLARATION.sub(rb"\2\1", data)
         try:
             parser = expat.ParserCreate()
-            scanner = _Scanner(data, source, parser)
+            scanner = _Scanner(data, source, parser, depth)
             parser.XmlDeclHandler = scanner.declaration
             parser.StartElementHandler = scanner.start
             parser.EndElementHandler = scanner.end
@@ -111,11 +115,11 @@ class Document:
         except expat.ExpatError as error:
             text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
             if not text:
-                raise UrdfError(f"{source} is empty; a URDF is wanted") from error
+                raise UrdfError(f"{source} is empty; a {what} is wanted") from error
             place = f"line {error.lineno}, column {error.offset + 1}"
             fix = "mend the file there, and save it as UTF-8"
             if not text.startswith(b"<"):
-                fix = "it starts with no '<', a URDF is wanted"
+                fix = f"it starts with no '<', a {what} is wanted"
             fault = expat.ErrorString(error.code)
             raise UrdfError(f"{source} is not XML: {fault}, {place}; {fix}") from error
         except (LookupError, ValueError) as error:
@@ -215,6 +219,8 @@ class _Scanner:
     source: str
     #: The parser that calls the handlers.
     parser: expat.XMLParserType
+    #: Number of levels of elements that are recorded.
+    depth: int
     #: Encoding, from the XML declaration.
     encoding: str = "utf-8"
     #: The outermost element.
@@ -245,7 +251,7 @@ class _Scanner:
                 message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
                 raise UrdfError(f"{self.source}, line {line}: {message}")
         self._depth += 1
-        if self._depth > _DEPTH:
+        if self._depth > self.depth:
             return
         match = _START_TAG.match(self.data, first)
         # All changes rely on this position: never go on without it.
@@ -260,7 +266,7 @@ class _Scanner:
     def end(self, _tag: str) -> None:
         """Record where the end tag of an element begins."""
         self._depth -= 1
-        if self._depth < _DEPTH:
+        if self._depth < self.depth:
             element = self._open.pop()
             if self.data[element.end - 2 : element.end] != b"/>":
                 element.close = self.parser.CurrentByteIndex
