@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from xml.etree import ElementTree
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
@@ -177,7 +178,12 @@ class Document:
         """Return an attribute value in quotes, escaped, in the encoding of the file."""
         return quoteattr(value).encode(self.encoding, "xmlcharrefreplace")
 
-    def start_tag_with(self, element: Element, values: Mapping[str, str]) -> bytes:
+    def start_tag_with(
+        self,
+        element: Element,
+        values: Mapping[str, str],
+        renamed: Mapping[str, str] = MappingProxyType({}),
+    ) -> bytes:
         """Return the start tag of an element with other attribute values; its other bytes stay.
 
         An attribute keeps its place and quotes; a missing one is added after the last, spaced and quoted as that is.
@@ -185,6 +191,7 @@ class Document:
         Args:
             element: The element.
             values: Plain numbers as text, by the attribute's name.
+            renamed: New names of attributes, whose values are in ``values`` by the new name.
         """
         tag = self.data[element.start : element.end]
         name = _START_TAG.match(tag)
@@ -198,7 +205,11 @@ class Document:
             space = attribute[1]
             quote = attribute[3][:1]
             last = attribute.end()
-            value = missing.pop(attribute[2], None)
+            key = renamed.get(attribute[2].decode("utf-8", "replace"), "").encode()
+            if key:
+                pieces += [tag[copied : attribute.start(2)], key]
+                copied = attribute.end(2)
+            value = missing.pop(key or attribute[2], None)
             if value is not None:
                 pieces += [tag[copied : attribute.start(3)], quote, value, quote]
                 copied = last
