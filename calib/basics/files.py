@@ -181,6 +181,16 @@ def check_no_xacro(path: str | os.PathLike[str]) -> None:
         )
 
 
+def check_urdf_name(path: str | os.PathLike[str]) -> None:
+    """Refuse, by a FileError, the name of a xacro or of an MJCF for a file to be written as a URDF."""
+    check_no_xacro(path)
+    if Path(path).suffix.lower() in (".xml", ".mjcf", ".sdf"):
+        raise FileError(
+            f"'{path}' is not the name of a URDF, which is what is written; name it .urdf. A result becomes an MJCF by "
+            "calib convert result.json --to mjcf --robot scene.xml."
+        )
+
+
 def make_folder(path: str | os.PathLike[str]) -> Path:
     """Make a folder and those above it, if it does not exist; FileError if it cannot be made."""
     try:

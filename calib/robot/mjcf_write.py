@@ -65,7 +65,8 @@ def model_of(urdf: Urdf, name: str) -> Mjcf:
         UrdfError: The file was changed since.
     """
     stated = urdf.mjcf
-    if stated is None:
+    # A corrected URDF still states the MJCF that it was made from.
+    if stated is None or (urdf.path is not None and urdf.path.name != stated.file):
         raise FileError(
             f"'{name}' is the name of a MuJoCo model, and the robot was read from a URDF: name the corrected one .urdf. "
             "To put a result into the MJCF of the same robot: calib convert result.json --to mjcf --robot scene.xml"
@@ -83,6 +84,27 @@ def model_of(urdf: Urdf, name: str) -> Mjcf:
             "the changed one: calib convert result.json --to mjcf --robot FILE"
         )
     return model
+
+
+def check_mjcf_output(robot: Robot, path: str | Path) -> None:
+    """Refuse, before any work is done, a name under which a robot's corrected MJCF cannot be written.
+
+    Args:
+        robot: The nominal robot.
+        path: The file to write; a name of no MJCF is no fault.
+
+    Raises:
+        FileError: It is the name of an MJCF, and the robot was read from none, or it is a file of the model.
+        UrdfError: The model was changed since it was read.
+    """
+    if is_mjcf_name(path):
+        _check_no_source(model_of(robot.urdf, str(path)), Path(path))
+
+
+def _check_no_source(model: Mjcf, path: Path) -> None:
+    """Refuse by `FileError` to write over a file of the model itself."""
+    if path.resolve() in {file.path.resolve() for file in model.files.files}:
+        raise FileError(f"'{path}' is a file of the model itself; choose another name.")
 
 
 def write_mjcf(
@@ -117,10 +139,8 @@ def write_mjcf(
     edits = _Edits(model)
     edits.place(robot)
     files = edits.files(path, verdict)
-    sources = {file.path.resolve() for file in model.files.files}
     for new in files:
-        if new.resolve() in sources:
-            raise FileError(f"'{new}' is a file of the model itself; choose another name.")
+        _check_no_source(model, new)
         check_writable(new, overwrite=overwrite)
 
     corrected = Mjcf.read(path, files)

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.basics.arrays import Array
-from calib.basics.files import check_no_xacro, read_bytes, write_atomically
+from calib.basics.files import check_urdf_name, read_bytes, write_atomically
 from calib.basics.json_files import parse_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
@@ -345,7 +345,7 @@ class Urdf(Value):
         Raises:
             FileError: It exists and must not be overwritten, has the name of a xacro, or cannot be written.
         """
-        check_no_xacro(path)
+        check_urdf_name(path)
         return write_atomically(path, self.data, overwrite=overwrite)
 
     def _stated(self, prefix: str) -> str:

@@ -32,6 +32,7 @@ from calib.cli.verb import verb
 from calib.errors import CalibError, VerdictError
 
 if TYPE_CHECKING:
+    from calib.robot.robot import Robot
     from concurrent.futures import Executor
 
     from calib.result.calibration import Calibration
@@ -100,6 +101,33 @@ class Outputs:
         files = (self.output, self.json, self.view, self.report)
         check_outputs(files, inputs, force=self.force)
 
+    def check_robot(self, robot: Robot) -> None:
+        """Refuse, before the fit, the name of an MJCF for a robot that was read from none; raises `FileError`."""
+        from calib.robot.mjcf_write import check_mjcf_output
+
+        if self.output is not None:
+            check_mjcf_output(robot, self.output)
+
+    def _write_robot(self, path: Path, result: Calibration) -> Iterator[Path | str]:
+        """Write the corrected URDF, or the corrected MJCF with what there is to say about it; yield the names."""
+        from calib.robot.mjcf_write import is_mjcf_name
+
+        if is_mjcf_name(path) and not (self.target_link or self.frame_link):
+            from calib.show.mjcf_text import mjcf_sentences
+            from calib.verbs.calibrate.write_urdf import write_corrected_mjcf
+
+            written = write_corrected_mjcf(result, path, overwrite=self.force)
+            yield from written.paths[1:]
+            yield f"{path}. {' '.join(mjcf_sentences(written))}"
+            return
+        yield result.write_urdf(
+            path,
+            overwrite=self.force,
+            target_link=self.target_link,
+            frame_link=self.frame_link,
+            accept=self.accept,
+        )
+
     def write(self, result: Calibration, tables: Mapping[str, Any]) -> Iterator[Path | str]:
         """Write the outputs that were asked for, one after the other.
 
@@ -123,13 +151,7 @@ class Outputs:
             # Figures that exist are refused before anything is written.
             figure_files(drawings(result), self.figures, self.figure_format or "png")
         if self.output is not None and (self.accept or not do_not_use_text(result.verdict)):
-            yield result.write_urdf(
-                self.output,
-                overwrite=self.force,
-                target_link=self.target_link,
-                frame_link=self.frame_link,
-                accept=self.accept,
-            )
+            yield from self._write_robot(self.output, result)
         if self.json is not None:
             from calib.result.calibration_file import write_result
 
@@ -287,6 +309,7 @@ def calibrate(
         solver_options.check()
         trying(data.name)
         arm, measurements = load_with_data(robot, cell, data, table_options)
+        outputs.check_robot(arm)
 
         from calib.result.calibrate import calibrate as calibrate_robot
         from calib.show.verdict_text import do_not_use_text, refusal
