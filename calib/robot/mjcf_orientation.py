@@ -47,13 +47,13 @@ def orientation_text(
         R: Shape (3, 3), the orientation.
 
     Returns:
-        The name that stands there, or ``quat`` if none does, or if it is ``zaxis`` or the ``fromto`` of a site, which
-        state no full orientation.
+        The name that stands there, or ``quat`` if none does, or if it states no full orientation: ``zaxis``, the
+        ``fromto`` of a site, ``euler`` by letters of which two neighbours are one axis.
     """
     key = orientation_key(attributes)
     if key == "xyaxes":
         return key, number_text(np.concatenate([R[:, 0], R[:, 1]]))
-    if key == "euler":
+    if key == "euler" and makes_all(compiler.eulerseq):
         before = numbers(node, attributes, key, (0.0,) * 3) / compiler.per_radian
         angles = turns_of(R, compiler.eulerseq, before)
         return key, number_text(angles * compiler.per_radian)
@@ -64,6 +64,8 @@ def orientation_text(
         axis = before[:3] if angle < _NO_TURN else vector / angle
         if axis @ before[:3] < 0.0:
             axis, angle = -axis, -angle
+        turns = round((before[3] / compiler.per_radian - angle) / (2.0 * np.pi))
+        angle += 2.0 * np.pi * turns
         return key, number_text(np.append(axis, angle * compiler.per_radian))
     quat = np.roll(Rotation.from_matrix(R).as_quat(), 1)
     before = np.array([1.0, 0.0, 0.0, 0.0])
@@ -72,8 +74,17 @@ def orientation_text(
     return "quat", number_text(-quat if quat @ before < 0.0 else quat)
 
 
+def makes_all(eulerseq: str) -> bool:
+    """Return True if three turns by these letters make every rotation: no two after each other about one axis."""
+    a, b, c = moving_sequence(eulerseq)[0]
+    return a != b != c
+
+
 def turns_of(R: Array, eulerseq: str, before: Array) -> Array:
-    """Return the angles (3,) [rad] of the letters of ``eulerseq`` that make a rotation (3, 3), nearest to others."""
+    """Return the angles (3,) [rad] of the letters of ``eulerseq`` that make a rotation (3, 3), nearest to others.
+
+    The letters are such that `makes_all` is true.
+    """
     letters, order = moving_sequence(eulerseq)
     a, b, c = (np.eye(3)["xyz".index(letter)] for letter in letters)
     w = R @ c

@@ -20,6 +20,7 @@ from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.files import check_writable, write_atomically
 from calib.errors import FileError, UrdfError
 from calib.robot.mjcf import Mjcf, MjcfBody, Placed
+from calib.robot.mjcf_elements import ORIENTATIONS
 from calib.robot.mjcf_files import MjcfFile, Node
 from calib.robot.mjcf_orientation import number_text, orientation_text
 from calib.robot.mjcf_readback import check_by_mujoco
@@ -238,8 +239,8 @@ class _Edits:
                 placed.node, placed.attributes, self.model.compiler, T[:3, :3]
             )
             values[key] = text
-            for form in ("zaxis", "fromto"):
-                if form in placed.attributes:
+            for form in ("fromto", *ORIENTATIONS):
+                if form in placed.attributes and form != key:
                     self.new_quats.append(f"{placed.node.tag} '{placed.name}'")
                     renamed[form] = key
         if values:

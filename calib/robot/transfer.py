@@ -140,7 +140,9 @@ def _in_base(robot: Robot, index: int, placement: Array) -> Array:
 
 def _check_joints(nominal: Robot, other: Robot) -> None:
     """Refuse by `ModelError` a chain that has other joints, or that moves them otherwise by the columns of q."""
-    kinds = [["slides" if j.type == "prismatic" else "turns" for j in r.joints] for r in (nominal, other)]
+    kinds = [
+        ["slides" if j.type == "prismatic" else "turns" for j in r.joints] for r in (nominal, other)
+    ]
     if kinds[0] != kinds[1]:
         names = [choices(joint.name for joint in robot.joints) for robot in (nominal, other)]
         raise ModelError(
@@ -164,7 +166,7 @@ def _check_joints(nominal: Robot, other: Robot) -> None:
 def _fit(axes: _Axes, other: _Axes) -> Array:
     """Return B, shape (4, 4), [m], which lays axes on others as well as it can."""
     pairs = list(zip(axes.directions, other.directions, strict=True))
-    for i, j in combinations(np.flatnonzero(~axes.slides), 2):
+    for i, j in combinations(np.flatnonzero(~axes.slides).tolist(), 2):
         parallel = [
             np.linalg.norm(np.cross(lines.directions[i], lines.directions[j])) < _PARALLEL
             for lines in (axes, other)
@@ -199,9 +201,10 @@ def _offs(B: Array, axes: _Axes, other: _Axes) -> tuple[Array, Array]:
     directions = axes.directions @ B[:3, :3].T
     across = axes.points @ B[:3, :3].T + B[:3, 3] - other.points
     across -= np.sum(across * other.directions, axis=1)[:, None] * other.directions
-    distances = np.where(axes.slides, 0.0, np.linalg.norm(across, axis=1))
+    distances: Array = np.where(axes.slides, 0.0, np.linalg.norm(across, axis=1))
     sines = np.linalg.norm(np.cross(directions, other.directions), axis=1)
-    return distances, np.arctan2(sines, np.sum(directions * other.directions, axis=1))
+    angles: Array = np.arctan2(sines, np.sum(directions * other.directions, axis=1))
+    return distances, angles
 
 
 def _along_axis(C: Array, axis: Array, other_axis: Array, slides: bool) -> Array:

@@ -8,14 +8,18 @@ from calib.robot.mjcf_write import WrittenMjcf
 
 def mjcf_sentences(written: WrittenMjcf) -> list[str]:
     """Return what there is to say about a corrected MJCF besides its name, in sentences; mostly one."""
-    by = "calib and MuJoCo" if written.read_by_mujoco else "calib, without MuJoCo, which is not installed"
+    by = (
+        "calib and MuJoCo"
+        if written.read_by_mujoco
+        else "calib, without MuJoCo, which is not installed"
+    )
     sentences = [f"Read back by {by}."]
     if len(written.paths) > 1:
         others = choices(path.name for path in written.paths[1:])
         sentences.append(f"It includes {others}, written beside it; keep them together.")
     if written.new_quats:
         sentences.append(
-            f"zaxis and fromto state no full orientation: {choices(written.new_quats)} has quat in their place."
+            f"What stood there states no full orientation, so that there is a quat in its place: {choices(written.new_quats)}."
         )
     if written.changed_joints:
         sentences.append(

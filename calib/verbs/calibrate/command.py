@@ -32,10 +32,10 @@ from calib.cli.verb import verb
 from calib.errors import CalibError, VerdictError
 
 if TYPE_CHECKING:
-    from calib.robot.robot import Robot
     from concurrent.futures import Executor
 
     from calib.result.calibration import Calibration
+    from calib.robot.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)

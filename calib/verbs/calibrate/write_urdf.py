@@ -13,8 +13,8 @@ from calib.errors import ModelError, UrdfError, VerdictError
 from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.transforms import has_pose
-from calib.robot.mjcf_write import WrittenMjcf, is_mjcf_name, model_of, write_mjcf
 from calib.robot.joined_urdf import SEPARATOR, path_of_robot
+from calib.robot.mjcf_write import WrittenMjcf, is_mjcf_name, model_of, write_mjcf
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.urdf import FRAME_LINK, TARGET_LINK, Urdf
@@ -50,7 +50,9 @@ def write_urdf(
         raise VerdictError(refusal(f"'{path}'", verdict_against))
     if is_mjcf_name(path):
         if target_link or frame_link:
-            raise ModelError("Links at targets and frames are added to a URDF; name the file .urdf.")
+            raise ModelError(
+                "Links at targets and frames are added to a URDF; name the file .urdf."
+            )
         return write_corrected_mjcf(c, path, overwrite=overwrite).paths[0]
     urdf = checked_urdf(c, target_link=target_link, frame_link=frame_link)
     if c.robot.parts:
@@ -94,7 +96,9 @@ def write_corrected_mjcf(c: Calibration, path: str | Path, *, overwrite: bool) -
         UrdfError: calib or MuJoCo reads it otherwise.
     """
     if c.robot.parts:
-        raise ModelError("An MJCF is written for one robot, and these are several; name the file .urdf.")
+        raise ModelError(
+            "An MJCF is written for one robot, and these are several; name the file .urdf."
+        )
     model = model_of(c.nominal.urdf, str(path))
     q = random_joint_values(c.robot)
     return write_mjcf(
