@@ -149,9 +149,10 @@ def check_masses(robot: Robot, model: str) -> None:
     mjcf = robot.urdf.mjcf
     if mjcf is not None and mjcf.mass_of_geoms:
         raise ModelError(
-            f"The model '{model}' needs the robot's masses. In {robot.urdf.source} those of {choices(mjcf.mass_of_geoms)} "
-            "follow from geoms, which calib does not compute: give these bodies an <inertial>, as MuJoCo writes them into "
-            "a saved model; or take 'gravity' in place of 'compliance', which needs no masses; or give torques in the table."
+            f"The model '{model}' needs the robot's masses. In {robot.urdf.source} those of "
+            f"{choices(mjcf.mass_of_geoms)} follow from geoms, which calib does not compute: give these bodies an "
+            "<inertial>, as MuJoCo writes them into a saved model; or take 'gravity' in place of 'compliance', which "
+            "needs no masses; or give torques in the table."
         )
 
 

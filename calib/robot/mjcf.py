@@ -258,8 +258,8 @@ class _Builder:
         name = self._name(node, "joint")
         if kind == "ball":
             self.refused[name] = (
-                f"{node.file.name}, line {node.element.line}: joint '{name}' is a ball, which has no angle that a table "
-                "could state; calib takes hinges and slides between base and tip. Write it as three hinges"
+                f"{node.file.name}, line {node.element.line}: joint '{name}' is a ball, which has no angle that a "
+                "table could state; calib takes hinges and slides between base and tip. Write it as three hinges"
             )
         self._joints[body].append(MjcfJoint(name, kind, pos, axis, ref, limits, node, T_body_frame))
 
@@ -343,6 +343,6 @@ class _Builder:
                 law = "stays where it is" if not driver else f"follows '{driver}' by a curve"
                 self.refused[follower] = (
                     f"{node.file.name}, line {node.element.line}: joint '{follower}' {law} (<equality>), and lies "
-                    "between base and tip; calib takes only polycoef with c0 and c1. Remove the equality if the table "
-                    "has a column of the joint, and give a tip before it otherwise"
+                    "between base and tip; of polycoef calib takes c0 and c1 only. Remove the equality if the table "
+                    "has a column of the joint"
                 )

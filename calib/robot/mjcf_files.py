@@ -155,7 +155,7 @@ class _Reader:
         if path in self.files:
             raise file.document.at(
                 element,
-                f"<include>: '{name}' is included a second time, which MuJoCo refuses; copy the file for the second use",
+                f"<include>: '{name}' is included a second time, which MuJoCo refuses; copy the file for that",
             )
         self.includes[path] = (file, element)
         try:

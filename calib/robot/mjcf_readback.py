@@ -7,7 +7,7 @@ compiler, defaults, frames and includes are read by MuJoCo.
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Collection
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -63,8 +63,8 @@ def check_by_mujoco(model: Mjcf, robot: Robot, q: Array, expected: Array) -> boo
         poses = poses_by_mujoco(model, robot, q)
     except ValueError as error:
         raise UrdfError(
-            f"MuJoCo cannot read the corrected MJCF: {' '.join(str(error).split())}. It is not written. If MuJoCo reads "
-            "the original one, please report this with the file."
+            f"MuJoCo cannot read the corrected MJCF: {' '.join(str(error).split())}. It is not written. If MuJoCo "
+            "reads the original one, please report this with the file."
         ) from error
     check_close("MuJoCo", robot.tip, poses, expected)
     return True
@@ -83,9 +83,17 @@ def poses_by_mujoco(model: Mjcf, robot: Robot, q: Array) -> Array:
     """
     import mujoco
 
-    files = {file.name: _kinematic_text(file.document.data) for file in model.files.files[1:]}
-    main = _kinematic_text(model.files.files[0].document.data, _ANY_MASS)
-    compiled = mujoco.MjModel.from_xml_string(main.decode(), files)
+    files: dict[str, bytes] = {}
+    empty: set[str] = set()  # includes of nothing, which MuJoCo refuses
+    for file in reversed(model.files.files[1:]):  # each before those that include it
+        kept = _kinematic_elements(file.document.data, empty)
+        if len(kept):
+            files[file.name] = ElementTree.tostring(kept)
+        else:
+            empty.add(file.name)
+    main = _kinematic_elements(model.files.files[0].document.data, empty)
+    main.insert(0, Element("compiler", _ANY_MASS))
+    compiled = mujoco.MjModel.from_xml_string(ElementTree.tostring(main).decode(), files)
     data = mujoco.MjData(compiled)
     # MuJoCo numbers the joints as calib does, and sites by their bodies.
     names = [joint.name for body in model.bodies for joint in body.joints]
@@ -118,19 +126,17 @@ def poses_by_mujoco(model: Mjcf, robot: Robot, q: Array) -> Array:
     return poses
 
 
-def _kinematic_text(data: bytes, compiler: Mapping[str, str] | None = None) -> bytes:
-    """Return an XML file of a model with what bears on kinematics alone, and settings of the compiler in front."""
-    root = ElementTree.fromstring(data)
+def _kinematic_elements(data: bytes, empty: Collection[str]) -> Element:
+    """Return an XML file of a model with what bears on kinematics alone, without includes of empty files."""
+    root = ElementTree.fromstring(data)  # noqa: S314  expat expands no files, and the file was parsed before
     kept = Element(root.tag)
-    if compiler:
-        SubElement(kept, "compiler", dict(compiler))
-    _copy(root, kept)
-    return ElementTree.tostring(kept)
+    _copy(root, kept, empty)
+    return kept
 
 
-def _copy(source: Element, target: Element) -> None:
+def _copy(source: Element, target: Element, empty: Collection[str]) -> None:
     """Add to an element the children of another that are kept, and theirs."""
     for child in source:
-        if child.tag in _KEPT:
+        if child.tag in _KEPT and child.get("file") not in empty:
             attributes = {key: child.attrib[key] for key in _KEPT[child.tag] if key in child.attrib}
-            _copy(child, SubElement(target, child.tag, attributes))
+            _copy(child, SubElement(target, child.tag, attributes), empty)

@@ -1,7 +1,7 @@
 """The URDF of a MuJoCo model, in which the rest of calib takes it, and what of the model it keeps in a comment.
 
-Each body is a link, and each site. Each joint stands at the point p of its axis, turned back by its ``ref``, so that its
-value is the one of MuJoCo:
+Each body is a link, and each site. Each joint stands at the point p of its axis, turned back by its ``ref``, so that
+its value is the one of MuJoCo:
 
     O_1 = T_parent_B Trans(p_1) J_1(-ref_1),    O_i = Trans(p_i - p_(i-1)) J_i(-ref_i)
 

@@ -69,8 +69,9 @@ def model_of(urdf: Urdf, name: str) -> Mjcf:
     # A corrected URDF still states the MJCF that it was made from.
     if stated is None or (urdf.path is not None and urdf.path.name != stated.file):
         raise FileError(
-            f"'{name}' is the name of a MuJoCo model, and the robot was read from a URDF: name the corrected one .urdf. "
-            "To put a result into the MJCF of the same robot: calib convert result.json --to mjcf --robot scene.xml"
+            f"'{name}' is the name of a MuJoCo model, and the robot was read from a URDF: name the corrected one "
+            ".urdf. To put a result into the MJCF of the same robot: "
+            "calib convert result.json --to mjcf --robot scene.xml"
         )
     if urdf.path is None or not urdf.path.is_file():
         raise FileError(
@@ -81,8 +82,8 @@ def model_of(urdf: Urdf, name: str) -> Mjcf:
     read_again = Urdf.from_bytes(mjcf_urdf(model), urdf.source).mjcf
     if read_again is None or read_again.sha256 != stated.sha256:
         raise UrdfError(
-            f"'{name}': the MJCF '{urdf.path}' was changed since the result was made. Use the file as it was, or name "
-            "the changed one: calib convert result.json --to mjcf --robot FILE"
+            f"'{name}': the MJCF '{urdf.path}' was changed since the result was made. Use the file as it was, or "
+            "name the changed one: calib convert result.json --to mjcf --robot FILE"
         )
     return model
 

@@ -1,12 +1,12 @@
 """A correction found on one description of a robot, put into another whose link frames are elsewhere.
 
-Two descriptions, U and M, are of one robot if the axes of their joints are the same lines at joint values of zero, with
-the same directions, seen from bases that may differ:
+Two descriptions, U and M, are of one robot if the axes of their joints are the same lines at joint values of zero,
+with the same directions, seen from bases that may differ:
 
     T_baseM_i = B T_baseU_i C_i,    C_i a_M = a_U,    C_i moves along the axis only
 
-with a constant C_i for the frame of each joint, so that both move alike at all values. Of the corrected placements of U,
-those of M follow:
+with a constant C_i for the frame of each joint, so that both move alike at all values. Of the corrected placements of
+U, those of M follow:
 
     P'_Mi = C_(i-1)^-1 P'_Ui C_i,    C_0 = B^-1
 
@@ -107,8 +107,8 @@ def transferred(nominal: Robot, corrected: Robot, other: Robot) -> Transfer:
         if max(off) > TOLERANCE:
             one, two = nominal.joints[count - 1].name, other.joints[count - 1].name
             raise ModelError(
-                f"'{nominal.urdf.source}' and '{other.urdf.source}' are not the same robot: with the axes of the joints "
-                f"up to '{one}' laid on those up to '{two}', they are {1e3 * off[0]:.3g} mm and "
+                f"'{nominal.urdf.source}' and '{other.urdf.source}' are not the same robot: with the axes of the "
+                f"joints up to '{one}' laid on those up to '{two}', they are {1e3 * off[0]:.3g} mm and "
                 f"{np.degrees(off[1]):.3g} deg apart at joint values of zero; {1e3 * TOLERANCE:g} mm and "
                 f"{np.degrees(TOLERANCE):.2g} deg are allowed. Look for another type or zero of the joint '{two}'."
             )
@@ -147,8 +147,8 @@ def _check_joints(nominal: Robot, other: Robot) -> None:
         names = [choices(joint.name for joint in robot.joints) for robot in (nominal, other)]
         raise ModelError(
             f"'{nominal.urdf.source}' has the joints {names[0]} between base and tip, and '{other.urdf.source}' has "
-            f"{names[1]}: their number, or what turns and what slides, differs. Name the other one's links by --base and "
-            "--tip."
+            f"{names[1]}: their number, or what turns and what slides, differs. Name the other one's links by --base "
+            "and --tip."
         )
     zeros = np.zeros((1, len(nominal.joint_names)))
     units = np.eye(len(nominal.joint_names))

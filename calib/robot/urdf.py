@@ -165,7 +165,8 @@ class Urdf(Value):
             )
         except (CalibError, KeyError, TypeError) as error:
             raise UrdfError(
-                f"{self.source}: the comment '{MJCF_REMARK.strip(': ')}' was changed. Remove it, or read the MJCF again."
+                f"{self.source}: the comment '{MJCF_REMARK.strip(': ')}' was changed. Remove it, or read the MJCF "
+                "again."
             ) from error
 
     def elements(self) -> AnyElement:
@@ -431,8 +432,8 @@ def urdf_of_mjcf(path: Path) -> Urdf:
 def read_urdf(source: str | Path) -> Urdf:
     """Read the URDF of a file, of a xacro that arguments may follow, or of a robot by its name.
 
-    A file of DH rows or a MuJoCo model (MJCF) is read as the URDF that it states. Names are those of example-robot-data and, for arms that it
-    does not have, those of Universal Robots' arms, such as ``"ur10e"``.
+    A file of DH rows or a MuJoCo model (MJCF) is read as the URDF that it states. Names are those of example-robot-data
+    and, for arms that it does not have, those of Universal Robots' arms, such as ``"ur10e"``.
 
     Raises:
         FileError: The file cannot be read.

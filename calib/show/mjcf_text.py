@@ -19,7 +19,8 @@ def mjcf_sentences(written: WrittenMjcf) -> list[str]:
         sentences.append(f"It includes {others}, written beside it; keep them together.")
     if written.new_quats:
         sentences.append(
-            f"What stood there states no full orientation, so that there is a quat in its place: {choices(written.new_quats)}."
+            "What stood there states no full orientation, so that there is a quat in its place: "
+            f"{choices(written.new_quats)}."
         )
     if written.changed_joints:
         sentences.append(

@@ -246,7 +246,7 @@ def test_a_model_without_joints_is_refused(tmp_path: Path):
         read_urdf(written(tmp_path, "<body/>"))
 
 
-def test_the_urdf_states_its_mjcf_also_in_a_result(tmp_path: Path):
+def test_the_urdf_states_its_mjcf_also_in_a_result():
     urdf = read_urdf(MODELS / "ref.xml")
     again = Urdf.from_bytes(urdf.data, "x")
     assert again.mjcf == urdf.mjcf

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calib.robot.mjcf_elements import euler_matrix, moving_sequence
 from calib.robot.mjcf_orientation import makes_all, turns_of
 
-SEQUENCES = ["xyz", "XYZ", "zyx", "ZYX", "xYz", "XyZ", "zyz", "ZYZ", "xZx", "xzy"]
+SEQUENCES = ["xyz", "XYZ", "zyx", "ZYX", "xYz", "XyZ", "zyz", "ZYZ", "XZX", "xzy"]
 
 
 @pytest.mark.parametrize("eulerseq", SEQUENCES)
@@ -30,7 +30,7 @@ def test_turns_make_the_rotation_to_rounding(eulerseq: str):
     np.testing.assert_allclose(
         turns_of(euler_matrix(eulerseq, ordinary), eulerseq, ordinary), ordinary, atol=1e-14
     )
-    whole = ordinary + [2.0 * np.pi, 0.0, -4.0 * np.pi]
+    whole = ordinary + np.array([2.0 * np.pi, 0.0, -4.0 * np.pi])
     np.testing.assert_allclose(
         turns_of(euler_matrix(eulerseq, whole), eulerseq, whole), whole, atol=1e-14
     )

@@ -31,7 +31,7 @@ def corrected(path: Path, output: Path, robot: Robot) -> WrittenMjcf:
     return write_mjcf(Mjcf.read(path), robot, q, product(robot, q), output, overwrite=False)
 
 
-def with_names(path: Path, robot: Robot) -> Truth:
+def with_names(path: Path) -> Truth:
     """MuJoCo's reading of a file, its joints without a name called as calib calls them."""
     spec = mujoco.MjSpec.from_file(str(path))
     model = Mjcf.read(path)
@@ -51,7 +51,7 @@ def test_mujoco_finds_the_corrected_robot(path: Path, tmp_path: Path):
     written = corrected(path, tmp_path / "corrected.xml", robot)
     assert written.read_by_mujoco
     q = np.random.default_rng(6).uniform(-2.0, 2.0, (30, len(robot.joint_names)))
-    truth = with_names(written.paths[0], robot)
+    truth = with_names(written.paths[0])
     poses = truth.poses(list(robot.joint_names), q, robot.base, robot.tip)
     np.testing.assert_allclose(poses, product(robot, q), rtol=0.0, atol=1e-9)
     # It is another robot than before, by millimetres.

@@ -26,7 +26,8 @@ def _write(source: Source, path: Path, options: Options) -> Notes:
     nominal, corrected = result.nominal, result.robot
     if nominal.parts:
         raise ModelError(
-            "An MJCF is written for one robot, and this result has several. Calibrate each by itself, or take their URDFs."
+            "An MJCF is written for one robot, and this result has several. Calibrate each by itself, or take their "
+            "URDFs."
         )
     q = random_joint_values(nominal)
     poses = np.concatenate([chain.poses(q) for chain in corrected.chains])
