@@ -75,7 +75,9 @@ def main() -> None:
         worst = max(worst, read, corrected)
         links = f"{len(model.bodies)}+{len(model.sites)}"
         joints = len(robot.joint_names)
-        print(f"{name[-60:]:60} {robot.tip[-28:]:28} {joints:6} {links:>12} {read:7.0e}  {corrected:7.0e}")
+        print(
+            f"{name[-60:]:60} {robot.tip[-28:]:28} {joints:6} {links:>12} {read:7.0e}  {corrected:7.0e}"
+        )
     print(f"\n{', '.join(f'{count} {what}' for what, count in counts.items())}")
     print("\n".join([f"{len(refused)} refused by calib", *refused]))
     sys.exit(worst > SAME)

@@ -177,7 +177,8 @@ def check_no_xacro(path: str | os.PathLike[str]) -> None:
     if Path(path).name.lower().endswith(".xacro"):
         raise FileError(
             f"'{path}' is the name of a xacro, and what is written is a URDF; name it .urdf. A xacro stays one if it "
-            "takes the origins of its joints from a file: see calib convert --to origins."
+            "takes the origins of its joints from a file (calib convert --to origins), or if they are numbers in it "
+            "(calib convert --to xacro)."
         )
 
 

@@ -224,7 +224,7 @@ class Urdf(Value):
             joint = elements[self._joint_index(name)]
             differs = np.abs(T - self.joint(name).T_parent_joint) > SAME
             changed = {"xyz": differs[:3, 3].any(), "rpy": differs[:3, :3].any()}
-            values = {key: text for key, text in _xyz_rpy(T).items() if changed[key]}
+            values = {key: text for key, text in origin_attributes(T).items() if changed[key]}
             origin = next(iter(joint.all("origin")), None)
             if values and origin is not None:
                 new = self._document.start_tag_with(origin, values)
@@ -387,8 +387,8 @@ class Urdf(Value):
         )
 
 
-def _xyz_rpy(T: Array) -> dict[str, str]:
-    """Return the attributes of the <origin> of a pose (4, 4) [m], as text that reads back exactly."""
+def origin_attributes(T: Array) -> dict[str, str]:
+    """Return the attributes ``xyz`` and ``rpy`` of the <origin> of a pose (4, 4) [m], as text that reads back exactly."""
     # Pinocchio's rpy is accurate also at pitch = +-pi/2.
     rpy = pin.rpy.matrixToRpy(T[:3, :3])
     return {"xyz": _number_text(T[:3, 3]), "rpy": _number_text(rpy)}
@@ -401,7 +401,7 @@ def _number_text(values: Array) -> str:
 
 def _origin_tag(T: Array) -> bytes:
     """Return the tag ``<origin xyz="..." rpy="..."/>`` of a pose (4, 4) [m]."""
-    return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
+    return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**origin_attributes(T)).encode()
 
 
 def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:

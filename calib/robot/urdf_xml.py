@@ -87,7 +87,13 @@ class Document:
 
     @classmethod
     def from_bytes(
-        cls, data: bytes, source: str, what: str = "URDF", depth: int = _DEPTH
+        cls,
+        data: bytes,
+        source: str,
+        what: str = "URDF",
+        depth: int = _DEPTH,
+        *,
+        xacro: bool = False,
     ) -> Document:
         """Parse an XML file.
 
@@ -98,6 +104,7 @@ class Document:
             source: Its name, for messages.
             what: The kind of file that is wanted, for messages.
             depth: Number of levels of elements that are recorded.
+            xacro: True to take elements and attributes of xacro as any others.
 
         Raises:
             UrdfError: It is not XML, empty, xacro, or of an encoding that cannot be used; the text says where.
@@ -107,7 +114,7 @@ class Document:
         data = _LATE_DECLARATION.sub(rb"\2\1", data)
         try:
             parser = expat.ParserCreate()
-            scanner = _Scanner(data, source, parser, depth)
+            scanner = _Scanner(data, source, parser, depth, xacro)
             parser.XmlDeclHandler = scanner.declaration
             parser.StartElementHandler = scanner.start
             parser.EndElementHandler = scanner.end
@@ -232,6 +239,8 @@ class _Scanner:
     parser: expat.XMLParserType
     #: Number of levels of elements that are recorded.
     depth: int
+    #: True to take elements of xacro.
+    takes_xacro: bool
     #: Encoding, from the XML declaration.
     encoding: str = "utf-8"
     #: The outermost element.
@@ -258,7 +267,7 @@ class _Scanner:
         for name in (tag, *attributes):
             prefix, colon, local = name.partition(":")
             # A property that nothing uses has no effect; where one is used, the number has a dollar sign.
-            if colon and prefix in self._xacro and local != "property":
+            if colon and prefix in self._xacro and local != "property" and not self.takes_xacro:
                 message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
                 raise UrdfError(f"{self.source}, line {line}: {message}")
         self._depth += 1

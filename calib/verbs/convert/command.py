@@ -169,7 +169,8 @@ def convert(
     from calib.verbs.convert.format import CameraOptions, Options
     from calib.verbs.convert.text import text
 
-    check_outputs([output], [source, robot, urcontrol, hash_from, update], force=force)
+    inputs = [source, robot, urcontrol, hash_from, update]
+    check_outputs([output], inputs, force=force, xacro=to in (None, "xacro"))
     chain = cell_options.cell()
     camera_options = CameraOptions(
         camera=camera,

@@ -21,6 +21,7 @@ import calib.verbs.convert.origins as origins
 import calib.verbs.convert.static_transform as static_transform
 import calib.verbs.convert.ur_formats as ur_formats
 import calib.verbs.convert.urdf_formats as urdf_formats
+import calib.verbs.convert.xacro as xacro
 import calib.verbs.convert.zeros as zeros
 from calib.basics.arguments import check_type
 from calib.basics.files import read_bytes
@@ -64,6 +65,7 @@ __all__ = [
 FORMATS: dict[str, Format] = {
     **urdf_formats.FORMATS,
     **mjcf.FORMATS,
+    **xacro.FORMATS,
     **ur_formats.FORMATS,
     **origins.FORMATS,
     **dh.FORMATS,
