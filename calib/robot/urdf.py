@@ -388,7 +388,7 @@ class Urdf(Value):
 
 
 def origin_attributes(T: Array) -> dict[str, str]:
-    """Return the attributes ``xyz`` and ``rpy`` of the <origin> of a pose (4, 4) [m], as text that reads back exactly."""
+    """Return xyz and rpy of the <origin> of a pose (4, 4) [m], by their names, as text that reads back exactly."""
     # Pinocchio's rpy is accurate also at pitch = +-pi/2.
     rpy = pin.rpy.matrixToRpy(T[:3, :3])
     return {"xyz": _number_text(T[:3, 3]), "rpy": _number_text(rpy)}

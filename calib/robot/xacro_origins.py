@@ -134,8 +134,8 @@ def corrected_xacro(call: XacroCall, nominal: Urdf, corrected: Urdf) -> dict[Pat
                 patches.setdefault(source.path, []).append((place.start, place.end, new))
     if faults:
         raise UrdfError(
-            f"{call.name}: these origins are not numbers in its text, so that no corrected xacro is written. Change them "
-            "by hand, or let the xacro read its origins from a file (calib convert --to origins).\n  "
+            f"{call.name}: these origins are not numbers in its text, so that no corrected xacro is written. Change "
+            "them by hand, or let the xacro read its origins from a file (calib convert --to origins).\n  "
             + "\n  ".join(faults)
         )
     result = {}
@@ -164,8 +164,8 @@ def _check_same(read: Urdf, expected: Urdf, name: str) -> None:
             other.T_parent_joint, joint.T_parent_joint, rtol=0.0, atol=_TOLERANCE
         ):
             raise UrdfError(
-                f"{name}, flattened, has the joint '{joint.name}' elsewhere than the result, or not at all. Give the xacro "
-                "and the arguments with which the result was made, as --robot."
+                f"{name}, flattened, has the joint '{joint.name}' elsewhere than the result, or not at all. Give the "
+                "xacro and the arguments with which the result was made, as --robot."
             )
 
 

@@ -37,7 +37,7 @@ def _write(source: Source, path: Path, options: Options) -> Notes:
     outputs = {order[0]: path}
     for file in order[1:]:
         outputs[file] = path.with_name(f"{path.name.split('.')[0]}_{file.name}")
-    for file, output in outputs.items():
+    for output in outputs.values():
         if output.resolve() in files:
             raise FileError(f"'{output}' is a file of the xacro itself; choose another name.")
         check_writable(output, overwrite=options.overwrite)
@@ -60,8 +60,8 @@ def _call(urdf: Urdf, options: Options) -> XacroCall:
     if options.robot is not None:
         if not is_xacro(str(options.robot)):
             raise CalibError(
-                f"'{options.robot}' is no xacro; --to xacro takes as --robot the xacro with its arguments that is to be "
-                "corrected."
+                f"'{options.robot}' is no xacro; --to xacro takes as --robot the xacro with its arguments that is to "
+                "be corrected."
             )
         return XacroCall.parse(str(options.robot))
     if urdf.path is None or not is_xacro(urdf.source):
@@ -72,7 +72,8 @@ def _call(urdf: Urdf, options: Options) -> XacroCall:
     call = replace(stated, path=XacroCall.parse(str(urdf.path)).path)
     if not call.path.is_file():
         raise FileError(
-            f"the xacro '{call.path}' that the result was made with is not there; give it with its arguments as --robot."
+            f"the xacro '{call.path}' that the result was made with is not there; give it with its arguments as "
+            "--robot."
         )
     return call
 
