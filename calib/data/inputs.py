@@ -28,7 +28,7 @@ from calib.robot.dh_file import is_other_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 
-#: A robot; or the path of its URDF, xacro or DH rows; or its name in example-robot-data, such as ``"ur3"``.
+#: A robot; or the path of its URDF, xacro, MJCF or DH rows; or its name in example-robot-data, such as ``"ur3"``.
 RobotInput: TypeAlias = Robot | str | Path
 
 #: Measurements, or the path of their table.
@@ -38,7 +38,7 @@ TableInput: TypeAlias = Measurements | str | Path
 CellInput: TypeAlias = Cell | str | Path | None
 
 #: Descriptions of the three, for messages.
-ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
+ROBOT = "a Robot, the path of a URDF, a xacro, an MJCF or DH rows, or a name such as 'ur3'"
 TABLE = "Measurements, or the path of a table"
 CELL = "a Cell, the path of a cell file, or None"
 

@@ -43,7 +43,10 @@ class Outputs:
     """Outputs of ``calib calibrate``."""
 
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the corrected URDF.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="Write the corrected URDF (.urdf), or MuJoCo model (.xml)."
+        ),
     ] = None
     json: Annotated[Path | None, typer.Option("--json", help="Write the whole result as JSON.")] = (
         None
