@@ -2,12 +2,12 @@
 
     python scripts/mjcf_study.py FOLDER ...
 
-Each model that has at least three joints with one value on a chain from a fixed base is read by calib, and the bodies
-its chain and the tip are compared at 20 poses. Then each placement of the chain is moved by about 0.5 mm and 0.01 rad,
-the corrected MJCF is written, MuJoCo reads that, and the tip must be where the moved robot has it. Numbers are the
-largest differences of an entry of a pose [m; rotations: 1]. A model whose meshes are missing is read by MuJoCo without
-them (*), and its tip is compared. Models without such a chain, and what MuJoCo does not compile, are counted; what calib
-refuses is listed. The exit status is 1 if a difference is above 1e-9.
+calib reads each model that has at least three joints with one value on a chain from a fixed base, and MuJoCo does; the
+bodies of the chain and its tip are compared at 20 poses. Then each placement of the chain is moved by about 0.5 mm and
+0.01 rad, the corrected MJCF is written, MuJoCo reads that, and the tip must be where the moved robot has it. Numbers
+are the largest differences of an entry of a pose [m; rotations: 1]. A model whose meshes are missing (*) is read by
+MuJoCo without them, and its tip is compared. Models without such a chain, and those that MuJoCo does not compile, are
+counted; what calib refuses is listed. The exit status is 1 if a difference is above 1e-9.
 """
 
 from __future__ import annotations
