@@ -24,6 +24,9 @@ ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 #: Name of the outermost class of defaults.
 _MAIN = "main"
 
+#: A number beyond this is a mistake [m, kg, deg or rad].
+_FARTHEST = 1e9
+
 #: A vector that is shorter than this has no direction, as for MuJoCo.
 _TINY = 1e-14
 
@@ -166,10 +169,12 @@ def numbers(node: Node, attributes: Attributes, key: str, default: tuple[float, 
     if key not in attributes:
         return np.array(default)
     words = attributes[key].split()
-    if len(words) != len(default) or not all(NUMBER.fullmatch(word) for word in words):
-        wanted = f"{len(default)} numbers" if len(default) > 1 else "a number"
-        raise node.at(f"{key} is '{attributes[key]}'; {wanted}, separated by blanks, wanted")
-    return np.array([float(word) for word in words])
+    if len(words) == len(default) and all(NUMBER.fullmatch(word) for word in words):
+        values = np.array([float(word) for word in words])
+        if np.abs(values).max() <= _FARTHEST:
+            return values
+    wanted = f"{len(default)} numbers" if len(default) > 1 else "a number"
+    raise node.at(f"{key} is '{attributes[key]}'; {wanted}, separated by blanks, wanted")
 
 
 def unit_vector(node: Node, vector: Array, key: str) -> Array:

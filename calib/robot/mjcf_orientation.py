@@ -76,8 +76,8 @@ def orientation_text(
 
 def makes_all(eulerseq: str) -> bool:
     """Return True if three turns by these letters make every rotation: no two after each other about one axis."""
-    a, b, c = moving_sequence(eulerseq)[0]
-    return a != b != c
+    letters = moving_sequence(eulerseq)[0]
+    return letters[0] != letters[1] != letters[2]
 
 
 def turns_of(R: Array, eulerseq: str, before: Array) -> Array:

@@ -209,7 +209,7 @@ def _offs(B: Array, axes: _Axes, other: _Axes) -> tuple[Array, Array]:
 
 def _along_axis(C: Array, axis: Array, other_axis: Array, slides: bool) -> Array:
     """Return the pose (4, 4) nearest to C that takes one axis to the other exactly, and moves along it only."""
-    result = C.copy()
+    result: Array = np.array(C)
     turned = C[:3, :3] @ other_axis
     vector = np.cross(turned, axis)
     sine = float(np.linalg.norm(vector))
