@@ -100,7 +100,7 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
     between = {step.joint.name for step in path}
     moving = [step for step in path if step.joint.type != "fixed"]
     mjcf = urdf.mjcf
-    for step in moving:
+    for step in path:
         if mjcf is not None and step.joint.name in mjcf.refused:
             raise UrdfError(
                 f"{mjcf.refused[step.joint.name]}, or name other links by --base and --tip."

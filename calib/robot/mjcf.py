@@ -82,6 +82,8 @@ class Placed:
     node: Node
     #: Its attributes, with those of its class.
     attributes: Attributes
+    #: Why no chain can end at it; empty: one can.
+    fault: str = ""
 
     @property
     def T_parent_own(self) -> Array:
@@ -214,7 +216,15 @@ class _Builder:
                 attributes = self.defaults.attributes(child, childclass)
                 T = pose(child, attributes, self.compiler)
                 name = self._name(child, "site")
-                self.sites.append(Placed(name, body, T_body_frame, T, child, attributes))
+                general = self.defaults.disputed(child, childclass)
+                fault = ""
+                if general is not None:
+                    fault = (
+                        f"{child.file.name}, line {child.element.line}: site '{name}' states its orientation, and so "
+                        f"does its class, by {general}; versions of MuJoCo take one or the other. Move it out of the "
+                        "class"
+                    )
+                self.sites.append(Placed(name, body, T_body_frame, T, child, attributes, fault))
             elif child.tag == "inertial":
                 self._add_inertial(child, body, T_body_frame)
             elif child.tag == "geom":
@@ -307,8 +317,8 @@ class _Builder:
                 body.T_frame_own,
                 body.node,
                 body.attributes,
-                tuple(self._joints[body.name]),
-                inertial,
+                joints=tuple(self._joints[body.name]),
+                inertial=inertial,
                 mass_of_geoms=inertial is None and body.name in self._with_geoms,
             )
             result.append(finished)

@@ -130,6 +130,19 @@ class Defaults:
         """
         return self._merged(node, childclass, node.tag)
 
+    def disputed(self, node: Node, childclass: str) -> str | None:
+        """Return the orientation of an element's class beside which its own stands; None if its meaning is clear.
+
+        MuJoCo took ``euler`` and the like of a class before an element's own ``quat`` until version 3.14, and takes the
+        element's own since 3.17.
+        """
+        own = orientation_key(node.attributes)
+        name = node.attributes.get("class", childclass) or _MAIN
+        general = orientation_key(self._classes.get(name, {}).get(node.tag, {}))
+        if own is None or general in (None, "quat", own):
+            return None
+        return general
+
     def of_equality(self, node: Node) -> Attributes:
         """Return the attributes of an element of ``<equality>``; UrdfError if there is no class of its name."""
         return self._merged(node, "", "equality")

@@ -131,7 +131,10 @@ def mjcf_urdf(model: Mjcf) -> bytes:
         "sha256": digest(
             [file.document.data.decode("utf-8", "replace") for file in model.files.files]
         ),
-        "refused": dict(model.refused),
+        "refused": {
+            **model.refused,
+            **{str(sites[site.name].fixed): site.fault for site in model.sites if site.fault},
+        },
         "mass_of_geoms": unknown,
     }
     # No comment may hold --.

@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.files import check_writable, write_atomically
-from calib.errors import FileError, UrdfError
+from calib.errors import FileError, ModelError, UrdfError
 from calib.robot.mjcf import Mjcf, MjcfBody, Placed
 from calib.robot.mjcf_elements import ORIENTATIONS
 from calib.robot.mjcf_files import MjcfFile, Node
@@ -97,10 +97,21 @@ def check_mjcf_output(robot: Robot, path: str | Path) -> None:
 
     Raises:
         FileError: It is the name of an MJCF, and the robot was read from none, or it is a file of the model.
+        ModelError: There are several robots.
         UrdfError: The model was changed since it was read.
     """
     if is_mjcf_name(path):
+        check_one_robot(robot)
         _check_no_source(model_of(robot.urdf, str(path)), Path(path))
+
+
+def check_one_robot(robot: Robot) -> None:
+    """Refuse several robots by `ModelError`: an MJCF is written for one."""
+    if robot.parts:
+        raise ModelError(
+            "An MJCF is written for one robot, and these are several: write their URDFs (.urdf), or calibrate each by "
+            "itself."
+        )
 
 
 def _check_no_source(model: Mjcf, path: Path) -> None:

@@ -198,6 +198,18 @@ def test_a_chain_over_a_ball_or_a_curved_coupling_is_refused_by_name(tmp_path: P
         Robot.load(path, tip="b")
 
 
+def test_a_site_that_versions_of_mujoco_turn_differently_is_no_tip(tmp_path: Path):
+    inner = '<site name="s" class="c" {}="1 0 0 0"/><site name="t"/>'
+    before = '<default><default class="c"><site {}="1 0 0 20"/></default></default>'
+    path = written(tmp_path, BODY.format(inner.format("quat")), before.format("axisangle"))
+    assert Robot.load(path, tip="t").tip == "t"
+    with pytest.raises(UrdfError, match=r"m\.xml, line 4: site 's'"):
+        Robot.load(path, tip="s")
+    for own, general in (("quat", "quat"), ("axisangle", "axisangle"), ("axisangle", "quat")):
+        path = written(tmp_path, BODY.format(inner.format(own)), before.format(general))
+        assert Robot.load(path, tip="s").tip == "s"
+
+
 def test_an_arm_on_a_free_body_wants_a_base(tmp_path: Path):
     inner = BODY.format("")
     path = written(tmp_path, f'<body name="cart"><freejoint/>{inner}</body>')

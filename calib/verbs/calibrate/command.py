@@ -105,17 +105,22 @@ class Outputs:
         check_outputs(files, inputs, force=self.force)
 
     def check_robot(self, robot: Robot) -> None:
-        """Refuse, before the fit, the name of an MJCF for a robot that was read from none; raises `FileError`."""
-        from calib.robot.mjcf_write import check_mjcf_output
+        """Refuse, before the fit, the name of an MJCF for what cannot be written as one; raises `CalibError`."""
+        from calib.robot.mjcf_write import check_mjcf_output, is_mjcf_name
 
-        if self.output is not None:
-            check_mjcf_output(robot, self.output)
+        if self.output is None:
+            return
+        if is_mjcf_name(self.output) and (self.target_link or self.frame_link):
+            raise CalibError(
+                f"{self.output}: --target-link and --frame-link add links to a URDF; name it .urdf."
+            )
+        check_mjcf_output(robot, self.output)
 
     def _write_robot(self, path: Path, result: Calibration) -> Iterator[Path | str]:
         """Write the corrected URDF, or the corrected MJCF with what there is to say about it; yield the names."""
         from calib.robot.mjcf_write import is_mjcf_name
 
-        if is_mjcf_name(path) and not (self.target_link or self.frame_link):
+        if is_mjcf_name(path):
             from calib.show.mjcf_text import mjcf_sentences
             from calib.verbs.calibrate.write_urdf import write_corrected_mjcf
 

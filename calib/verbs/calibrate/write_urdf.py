@@ -14,7 +14,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.transforms import has_pose
 from calib.robot.joined_urdf import SEPARATOR, path_of_robot
-from calib.robot.mjcf_write import WrittenMjcf, is_mjcf_name, model_of, write_mjcf
+from calib.robot.mjcf_write import WrittenMjcf, check_one_robot, is_mjcf_name, model_of, write_mjcf
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.urdf import FRAME_LINK, TARGET_LINK, Urdf
@@ -95,10 +95,7 @@ def write_corrected_mjcf(c: Calibration, path: str | Path, *, overwrite: bool) -
         ModelError: The calibration is of several robots.
         UrdfError: calib or MuJoCo reads it otherwise.
     """
-    if c.robot.parts:
-        raise ModelError(
-            "An MJCF is written for one robot, and these are several; name the file .urdf."
-        )
+    check_one_robot(c.robot)
     model = model_of(c.nominal.urdf, str(path))
     q = random_joint_values(c.robot)
     return write_mjcf(

@@ -10,7 +10,7 @@ import numpy as np
 from calib.errors import CalibError, ModelError, choices
 from calib.robot.default_tip import farthest_link
 from calib.robot.mjcf import Mjcf
-from calib.robot.mjcf_write import model_of, write_mjcf
+from calib.robot.mjcf_write import check_one_robot, model_of, write_mjcf
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.transfer import transferred
@@ -24,11 +24,7 @@ def _write(source: Source, path: Path, options: Options) -> Notes:
     """Write the corrected MJCF of a result, after reading it back; see `calib.robot.mjcf_write`."""
     result = source.require_calibration()
     nominal, corrected = result.nominal, result.robot
-    if nominal.parts:
-        raise ModelError(
-            "An MJCF is written for one robot, and this result has several. Calibrate each by itself, or take their "
-            "URDFs."
-        )
+    check_one_robot(nominal)
     q = random_joint_values(nominal)
     poses = np.concatenate([chain.poses(q) for chain in corrected.chains])
     notes: list[Note] = []
@@ -125,7 +121,7 @@ def of_source(options: Options) -> Options:
 FORMATS = {
     "mjcf": Format(
         "the MuJoCo model with corrected bodies",
-        (".xml",),
+        (".xml", ".mjcf"),
         _write,
         options_of_source=of_source,
     )
