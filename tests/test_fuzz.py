@@ -23,6 +23,7 @@ from calib.verbs.plan.solids import read_solids
 from calib.verbs.workspace.region_file import read_region
 from tests.parts import of_an_earlier_version
 from tests.places import ROOT
+from tests.robot.mujoco_truth import MODELS
 
 ARM, DATA = str(paper_urdf()), paper_measurements()
 
@@ -77,6 +78,7 @@ LIST = b"# Units: mm\nP1 100.5 200 300\nP2 -1 2e2 3.5\nP3 7 8 9\n"
 #: Name of a file, what reads it, and what makes files that can be read.
 READERS = [
     ("r.urdf", read_robot, lambda _: [Path(ARM).read_bytes()]),
+    ("m.xml", read_robot, lambda _: [path.read_bytes() for path in MODELS.glob("*.xml")]),
     ("t.csv", calib.Measurements.read, lambda _: [DATA.read_bytes()]),
     ("p.csv", program, lambda _: [DATA.read_bytes()]),
     ("p.txt", lambda path: read_points(path, None), lambda _: [LIST]),

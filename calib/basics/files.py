@@ -177,7 +177,18 @@ def check_no_xacro(path: str | os.PathLike[str]) -> None:
     if Path(path).name.lower().endswith(".xacro"):
         raise FileError(
             f"'{path}' is the name of a xacro, and what is written is a URDF; name it .urdf. A xacro stays one if it "
-            "takes the origins of its joints from a file: see calib convert --to origins."
+            "takes the origins of its joints from a file (calib convert --to origins), or if they are numbers in it "
+            "(calib convert --to xacro)."
+        )
+
+
+def check_urdf_name(path: str | os.PathLike[str]) -> None:
+    """Refuse, by a FileError, the name of a xacro or of an MJCF for a file to be written as a URDF."""
+    check_no_xacro(path)
+    if Path(path).suffix.lower() in (".xml", ".mjcf", ".sdf"):
+        raise FileError(
+            f"'{path}' is not the name of a URDF, which is what is written; name it .urdf. A result becomes an MJCF by "
+            "calib convert result.json --to mjcf --robot scene.xml."
         )
 
 

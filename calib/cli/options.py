@@ -28,8 +28,8 @@ RobotFile = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
-        help="URDF or xacro file (a xacro's arguments follow its name in the same quotes), DH rows, or the name of a "
-        "robot in example-robot-data, such as 'ur3'.",
+        help="URDF or xacro file (a xacro's arguments follow its name in the same quotes), MuJoCo model (MJCF), DH "
+        "rows, or the name of a robot in example-robot-data, such as 'ur3'.",
     ),
 ]
 DataFile = Annotated[

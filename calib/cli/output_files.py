@@ -10,7 +10,11 @@ from calib.errors import FileError
 
 
 def check_outputs(
-    outputs: Iterable[Path | None], inputs: Iterable[str | Path | None], *, force: bool
+    outputs: Iterable[Path | None],
+    inputs: Iterable[str | Path | None],
+    *,
+    force: bool,
+    xacro: bool = False,
 ) -> None:
     """Refuse outputs that cannot be written before the work begins.
 
@@ -18,6 +22,7 @@ def check_outputs(
         outputs: The files to write; None: not wanted.
         inputs: The files that are read; None: not given.
         force: Whether existing files are overwritten.
+        xacro: Whether an output may be a xacro.
 
     Raises:
         FileError: A file exists, its folder does not, or it is an input, a xacro, or named twice.
@@ -32,7 +37,8 @@ def check_outputs(
         if resolved in roles:
             raise FileError(f"{path} is also {roles[resolved]} of this command.")
         roles[resolved] = "another output"
-        check_no_xacro(path)
+        if not xacro:
+            check_no_xacro(path)
         check_writable(path, overwrite=force)
 
 

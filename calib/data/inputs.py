@@ -31,7 +31,7 @@ from calib.robot.dh_file import is_other_table
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 
-#: A robot; or the path of its URDF, xacro or DH rows; or its name in example-robot-data, such as ``"ur3"``.
+#: A robot; or the path of its URDF, xacro, MJCF or DH rows; or its name in example-robot-data, such as ``"ur3"``.
 RobotInput: TypeAlias = Robot | str | Path
 
 #: Measurements; or the path of their table; or their table as a frame of pandas or polars or a dict of columns.
@@ -41,7 +41,7 @@ TableInput: TypeAlias = Measurements | Frame | str | Path
 CellInput: TypeAlias = Cell | str | Path | None
 
 #: Descriptions of the three, for messages.
-ROBOT = "a Robot, the path of a URDF, a xacro or DH rows, or a name such as 'ur3'"
+ROBOT = "a Robot, the path of a URDF, a xacro, an MJCF or DH rows, or a name such as 'ur3'"
 TABLE = "Measurements, the path of a table, or a frame or dict of its columns"
 CELL = "a Cell, the path of a cell file, or None"
 

@@ -99,6 +99,12 @@ def chain_between(urdf: Urdf, base: str, tip: str) -> SerialChain:
     path = _path(urdf, base, tip)
     between = {step.joint.name for step in path}
     moving = [step for step in path if step.joint.type != "fixed"]
+    mjcf = urdf.mjcf
+    for step in path:
+        if mjcf is not None and step.joint.name in mjcf.refused:
+            raise UrdfError(
+                f"{mjcf.refused[step.joint.name]}, or name other links by --base and --tip."
+            )
     wrong = [step.joint for step in moving if step.joint.type not in MOVING]
     if wrong or not moving:
         fault = "no joint moves"

@@ -163,7 +163,7 @@ def urdf_bytes(
         lines += [
             *_link_lines(joint.child, joint.bodies),
             f'  <joint name={quoteattr(joint.name)} type="{joint.type}">',
-            f"    {_origin(joint.T_parent_joint)}",
+            f"    {origin_tag(joint.T_parent_joint)}",
             f"    <parent link={quoteattr(joint.parent)}/>",
             f"    <child link={quoteattr(joint.child)}/>",
         ]
@@ -185,7 +185,7 @@ def _link_lines(name: str, bodies: Sequence[Cylinder]) -> list[str]:
     lines = [f"  <link name={quoteattr(name)}>"]
     for tag in ("visual", "collision"):
         for body in bodies:
-            lines += [f"    <{tag}>", f"      {_origin(body.T_link_cylinder)}"]
+            lines += [f"    <{tag}>", f"      {origin_tag(body.T_link_cylinder)}"]
             shape = f'<cylinder radius="{body.radius:.6g}" length="{float(body.length)!r}"/>'
             lines.append(f"      <geometry>{shape}</geometry>")
             if tag == "visual":
@@ -195,7 +195,7 @@ def _link_lines(name: str, bodies: Sequence[Cylinder]) -> list[str]:
     return [*lines, "  </link>"]
 
 
-def _origin(T: Array) -> str:
+def origin_tag(T: Array) -> str:
     """Return the ``<origin/>`` of a pose (4, 4) [m]; Pinocchio's rpy is accurate also at pitch = +-pi/2."""
     return f'<origin xyz="{_numbers(T[:3, 3])}" rpy="{_numbers(pin.rpy.matrixToRpy(T[:3, :3]))}"/>'
 

@@ -21,7 +21,7 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.records import key
 from calib.basics.value_forms import POINT_MM, number
 from calib.basics.values import Value
-from calib.errors import ModelError
+from calib.errors import ModelError, choices
 from calib.robot import kernel
 from calib.robot.full_model import full_configurations, full_model, joint_frames, link_frame
 from calib.robot.robot import Robot
@@ -134,6 +134,26 @@ def gravity_loads(
 
     kernel.over_blocks(work, len(result))
     return result
+
+
+def check_masses(robot: Robot, model: str) -> None:
+    """Refuse a named model of errors by load for a robot from an MJCF whose masses only its geoms tell.
+
+    Args:
+        robot: The robot.
+        model: The model's name, for the message.
+
+    Raises:
+        ModelError: The masses are not known.
+    """
+    mjcf = robot.urdf.mjcf
+    if mjcf is not None and mjcf.mass_of_geoms:
+        raise ModelError(
+            f"The model '{model}' needs the robot's masses. In {robot.urdf.source} those of "
+            f"{choices(mjcf.mass_of_geoms)} follow from geoms, which calib does not compute: give these bodies an "
+            "<inertial>, as MuJoCo writes them into a saved model; or take 'gravity' in place of 'compliance', which "
+            "needs no masses; or give torques in the table."
+        )
 
 
 def _lever_arms(robot: Robot, model: pin.Model, values: Mapping[str, Array], down: Array) -> Array:

@@ -113,10 +113,10 @@ class Robot(Value):
         held: Mapping[str, float] | None = None,
         coupling: Mapping[str, Mapping[str, float]] | None = None,
     ) -> Robot:
-        """Load a robot from a URDF, a xacro or a file of DH rows, or by its name from example-robot-data.
+        """Load a robot from a URDF, a xacro, an MJCF or a file of DH rows, or by its name from example-robot-data.
 
         Args:
-            source: Path of a URDF; or of a file of DH rows; or of a xacro, followed by arguments as in
+            source: Path of a URDF; or of an MJCF; or of a file of DH rows; or of a xacro, followed by arguments as in
                 ``"ur.urdf.xacro ur_type:=ur5e"``; or a name such as ``"ur3"`` or ``"panda"``.
             base: Link in whose frame the poses are given; default the URDF's root link.
             tip: Link that the chain ends at; default the link with the most moving joints before it.
@@ -140,7 +140,7 @@ class Robot(Value):
             "source",
             source,
             (str, Path),
-            "the path of a URDF, a xacro or DH rows, or a name such as 'ur3'",
+            "the path of a URDF, a xacro, an MJCF or DH rows, or a name such as 'ur3'",
         )
         return cls.from_urdf(read_urdf(source), base, tip, measured, held, coupling)
 

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.basics.arrays import Array
-from calib.basics.files import check_no_xacro, read_bytes, write_atomically
+from calib.basics.files import check_urdf_name, read_bytes, write_atomically
 from calib.basics.json_files import parse_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
@@ -25,6 +25,9 @@ from calib.robot import flange
 from calib.robot.cylinder_urdf import REMARK, dh_urdf
 from calib.robot.dh_file import ENDINGS, read_dh_robot, robot_of_json
 from calib.robot.dh_rows import DHRobot
+from calib.robot.mjcf import Mjcf
+from calib.robot.mjcf_files import is_mjcf
+from calib.robot.mjcf_urdf import REMARK as MJCF_REMARK, MjcfOrigin, mjcf_urdf
 from calib.robot.ur_models import MODELS, named_ur_urdf, ur_model
 from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
@@ -145,6 +148,27 @@ class Urdf(Value):
                 ) from error
         return None
 
+    @property
+    def mjcf(self) -> MjcfOrigin | None:
+        """The MJCF from which it was made, as a comment of the file states; None for any other URDF.
+
+        Raises:
+            UrdfError: The comment was changed.
+        """
+        text = self._stated(MJCF_REMARK)
+        if not text:
+            return None
+        try:
+            stated = parse_json(text, self.source)
+            return MjcfOrigin(
+                stated["file"], stated["sha256"], stated["refused"], tuple(stated["mass_of_geoms"])
+            )
+        except (CalibError, KeyError, TypeError) as error:
+            raise UrdfError(
+                f"{self.source}: the comment '{MJCF_REMARK.strip(': ')}' was changed. Remove it, or read the MJCF "
+                "again."
+            ) from error
+
     def elements(self) -> AnyElement:
         """Return the whole file as elements, a new tree at each call."""
         return self._document.elements()
@@ -200,7 +224,7 @@ class Urdf(Value):
             joint = elements[self._joint_index(name)]
             differs = np.abs(T - self.joint(name).T_parent_joint) > SAME
             changed = {"xyz": differs[:3, 3].any(), "rpy": differs[:3, :3].any()}
-            values = {key: text for key, text in _xyz_rpy(T).items() if changed[key]}
+            values = {key: text for key, text in origin_attributes(T).items() if changed[key]}
             origin = next(iter(joint.all("origin")), None)
             if values and origin is not None:
                 new = self._document.start_tag_with(origin, values)
@@ -322,7 +346,7 @@ class Urdf(Value):
         Raises:
             FileError: It exists and must not be overwritten, has the name of a xacro, or cannot be written.
         """
-        check_no_xacro(path)
+        check_urdf_name(path)
         return write_atomically(path, self.data, overwrite=overwrite)
 
     def _stated(self, prefix: str) -> str:
@@ -363,8 +387,8 @@ class Urdf(Value):
         )
 
 
-def _xyz_rpy(T: Array) -> dict[str, str]:
-    """Return the attributes of the <origin> of a pose (4, 4) [m], as text that reads back exactly."""
+def origin_attributes(T: Array) -> dict[str, str]:
+    """Return xyz and rpy of the <origin> of a pose (4, 4) [m], by their names, as text that reads back exactly."""
     # Pinocchio's rpy is accurate also at pitch = +-pi/2.
     rpy = pin.rpy.matrixToRpy(T[:3, :3])
     return {"xyz": _number_text(T[:3, 3]), "rpy": _number_text(rpy)}
@@ -377,7 +401,7 @@ def _number_text(values: Array) -> str:
 
 def _origin_tag(T: Array) -> bytes:
     """Return the tag ``<origin xyz="..." rpy="..."/>`` of a pose (4, 4) [m]."""
-    return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**_xyz_rpy(T)).encode()
+    return '<origin xyz="{xyz}" rpy="{rpy}"/>'.format(**origin_attributes(T)).encode()
 
 
 def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
@@ -391,11 +415,25 @@ def urdf_of_dh(robot: DHRobot, source: str, path: Path | None = None) -> Urdf:
     return replace(Urdf.from_bytes(dh_urdf(robot), source, path), _rows=robot)
 
 
+def urdf_of_mjcf(path: Path) -> Urdf:
+    """Return the URDF of a MuJoCo model, whose links are its bodies and sites; see `calib.robot.mjcf_urdf`.
+
+    Raises:
+        FileError: A file of it cannot be read.
+        UrdfError: It is not a model that calib can take.
+    """
+    data = mjcf_urdf(Mjcf.read(path))
+    try:
+        return Urdf.from_bytes(data, path.name, path)
+    except UrdfError as error:
+        raise UrdfError(f"{error} This is about the URDF that calib makes of the model.") from error
+
+
 def read_urdf(source: str | Path) -> Urdf:
     """Read the URDF of a file, of a xacro that arguments may follow, or of a robot by its name.
 
-    A file of DH rows is read as the URDF that they state. Names are those of example-robot-data and, for arms that it
-    does not have, those of Universal Robots' arms, such as ``"ur10e"``.
+    A file of DH rows or a MuJoCo model (MJCF) is read as the URDF that it states. Names are those of example-robot-data
+    and, for arms that it does not have, those of Universal Robots' arms, such as ``"ur10e"``.
 
     Raises:
         FileError: The file cannot be read.
@@ -416,7 +454,10 @@ def read_urdf(source: str | Path) -> Urdf:
     if path is not None:
         if path.suffix.lower() in ENDINGS:
             return urdf_of_dh(read_dh_robot(path), path.name, path)
-        return Urdf.read(path)
+        data = read_bytes(path, "URDF")
+        if is_mjcf(data):
+            return urdf_of_mjcf(path)
+        return Urdf.from_bytes(data, path.name, path)
 
     name = str(source)
     if name == flange.NAME:
@@ -428,7 +469,7 @@ def read_urdf(source: str | Path) -> Urdf:
     known = sorted(files | {model.plain for model in MODELS} | {flange.NAME})
     raise UrdfError(
         f"'{name}' is neither a file here nor a robot whose name calib knows{_similar(name, known)}. Give the path of "
-        f"a URDF, a xacro or DH rows, or one of {choices(known)}."
+        f"a URDF, a xacro, an MJCF or DH rows, or one of {choices(known)}."
     )
 
 

@@ -94,7 +94,12 @@ def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...
     root = document.root
     elements = root.all("joint")
     if root.tag != "robot":
-        formats = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
+        formats = {
+            "sdf": "SDF (Gazebo), which calib does not read: give the URDF or xacro that it was made from, or turn it "
+            "into an MJCF by sdf2mjcf of the package sdformat-mjcf",
+            "mujocoinclude": "a part of an MJCF: give the main file, which includes it",
+            "COLLADA": "a COLLADA mesh",
+        }
         likely = f", it looks like {formats[root.tag]}" if root.tag in formats else ""
         text = f"the outermost element is <{root.tag}>{likely}; a URDF has <robot>"
         raise document.at(root, text)

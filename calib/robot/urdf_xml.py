@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from xml.etree import ElementTree
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
@@ -35,7 +36,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 @dataclass(slots=True)
 class Element:
-    """An element of the upper three levels."""
+    """An element of the upper levels."""
 
     #: Name of the element.
     tag: str
@@ -85,7 +86,15 @@ class Document:
     comments: tuple[Comment, ...]
 
     @classmethod
-    def from_bytes(cls, data: bytes, source: str) -> Document:
+    def from_bytes(
+        cls,
+        data: bytes,
+        source: str,
+        what: str = "URDF",
+        depth: int = _DEPTH,
+        *,
+        xacro: bool = False,
+    ) -> Document:
         """Parse an XML file.
 
         Blanks before its XML declaration, as generators leave them, are put after it: lines keep their numbers.
@@ -93,6 +102,9 @@ class Document:
         Args:
             data: The file, byte for byte.
             source: Its name, for messages.
+            what: The kind of file that is wanted, for messages.
+            depth: Number of levels of elements that are recorded.
+            xacro: True to take elements and attributes of xacro as any others.
 
         Raises:
             UrdfError: It is not XML, empty, xacro, or of an encoding that cannot be used; the text says where.
@@ -102,7 +114,7 @@ class Document:
         data = _LATE_DECLARATION.sub(rb"\2\1", data)
         try:
             parser = expat.ParserCreate()
-            scanner = _Scanner(data, source, parser)
+            scanner = _Scanner(data, source, parser, depth, xacro)
             parser.XmlDeclHandler = scanner.declaration
             parser.StartElementHandler = scanner.start
             parser.EndElementHandler = scanner.end
@@ -111,11 +123,11 @@ class Document:
         except expat.ExpatError as error:
             text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
             if not text:
-                raise UrdfError(f"{source} is empty; a URDF is wanted") from error
+                raise UrdfError(f"{source} is empty; a {what} is wanted") from error
             place = f"line {error.lineno}, column {error.offset + 1}"
             fix = "mend the file there, and save it as UTF-8"
             if not text.startswith(b"<"):
-                fix = "it starts with no '<', a URDF is wanted"
+                fix = f"it starts with no '<', a {what} is wanted"
             fault = expat.ErrorString(error.code)
             raise UrdfError(f"{source} is not XML: {fault}, {place}; {fix}") from error
         except (LookupError, ValueError) as error:
@@ -173,7 +185,12 @@ class Document:
         """Return an attribute value in quotes, escaped, in the encoding of the file."""
         return quoteattr(value).encode(self.encoding, "xmlcharrefreplace")
 
-    def start_tag_with(self, element: Element, values: Mapping[str, str]) -> bytes:
+    def start_tag_with(
+        self,
+        element: Element,
+        values: Mapping[str, str],
+        renamed: Mapping[str, str] = MappingProxyType({}),
+    ) -> bytes:
         """Return the start tag of an element with other attribute values; its other bytes stay.
 
         An attribute keeps its place and quotes; a missing one is added after the last, spaced and quoted as that is.
@@ -181,6 +198,7 @@ class Document:
         Args:
             element: The element.
             values: Plain numbers as text, by the attribute's name.
+            renamed: New names of attributes, whose values are in ``values`` by the new name.
         """
         tag = self.data[element.start : element.end]
         name = _START_TAG.match(tag)
@@ -194,7 +212,11 @@ class Document:
             space = attribute[1]
             quote = attribute[3][:1]
             last = attribute.end()
-            value = missing.pop(attribute[2], None)
+            key = renamed.get(attribute[2].decode("utf-8", "replace"), "").encode()
+            if key:
+                pieces += [tag[copied : attribute.start(2)], key]
+                copied = attribute.end(2)
+            value = missing.pop(key or attribute[2], None)
             if value is not None:
                 pieces += [tag[copied : attribute.start(3)], quote, value, quote]
                 copied = last
@@ -215,6 +237,10 @@ class _Scanner:
     source: str
     #: The parser that calls the handlers.
     parser: expat.XMLParserType
+    #: Number of levels of elements that are recorded.
+    depth: int
+    #: True to take elements of xacro.
+    takes_xacro: bool
     #: Encoding, from the XML declaration.
     encoding: str = "utf-8"
     #: The outermost element.
@@ -241,11 +267,11 @@ class _Scanner:
         for name in (tag, *attributes):
             prefix, colon, local = name.partition(":")
             # A property that nothing uses has no effect; where one is used, the number has a dollar sign.
-            if colon and prefix in self._xacro and local != "property":
+            if colon and prefix in self._xacro and local != "property" and not self.takes_xacro:
                 message = f"'{name}' belongs to xacro, not URDF; {XACRO_FIX}"
                 raise UrdfError(f"{self.source}, line {line}: {message}")
         self._depth += 1
-        if self._depth > _DEPTH:
+        if self._depth > self.depth:
             return
         match = _START_TAG.match(self.data, first)
         # All changes rely on this position: never go on without it.
@@ -260,7 +286,7 @@ class _Scanner:
     def end(self, _tag: str) -> None:
         """Record where the end tag of an element begins."""
         self._depth -= 1
-        if self._depth < _DEPTH:
+        if self._depth < self.depth:
             element = self._open.pop()
             if self.data[element.end - 2 : element.end] != b"/>":
                 element.close = self.parser.CurrentByteIndex

@@ -6,13 +6,14 @@ A xacro is a program: it may read any file, and may run for ever. Flatten only t
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import shlex
 import subprocess
 import sys
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,6 +91,33 @@ def flatten(call: XacroCall) -> bytes:
         FileError: There is no such file.
         UrdfError: The xacro package is not installed, it finds a fault, or it takes longer than `TIME_LIMIT`.
     """
+    return _run(call, ())
+
+
+def flatten_with_marks(
+    call: XacroCall, changed: Mapping[Path, bytes] | None = None
+) -> tuple[str, tuple[Path, ...]]:
+    """Return what `flatten` does, with marks from which joint and origin of which file its joints and origins come.
+
+    Args:
+        call: The xacro and its arguments.
+        changed: Bytes of files that are not written yet, by their absolute paths; None for none.
+
+    Returns:
+        The text, in which joints and origins have an attribute `MARK` with the number of a file and that of an element
+        in it, from 0 in the file's order, as ``"1:12"``; and the files, absolute.
+
+    Raises:
+        FileError: There is no such file.
+        UrdfError: As of `flatten`.
+    """
+    given = {str(path): data.decode("utf-8", "replace") for path, data in (changed or {}).items()}
+    printed = json.loads(_run(call, ("--marks",), json.dumps(given).encode()))
+    return printed["text"], tuple(Path(file) for file in printed["files"])
+
+
+def _run(call: XacroCall, options: tuple[str, ...], given: bytes = b"") -> bytes:
+    """Return what this module prints in a process of its own; raises what `flatten` does."""
     read_bytes(call.path, "xacro file")
     package = importlib.util.find_spec("xacro")
     if package is None or package.origin is None:
@@ -98,12 +126,12 @@ def flatten(call: XacroCall) -> bytes:
             "pip install 'robot-calib[xacro]'"
         )
     words = [f"{name}:={value}" for name, value in call.arguments]
-    program = [sys.executable, "-W", "ignore", "-m", __name__, str(call.path), *words]
+    program = [sys.executable, "-W", "ignore", "-m", __name__, *options, str(call.path), *words]
     path = os.pathsep.join(filter(None, sys.path))
     env = os.environ | {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
     try:
         finished = subprocess.run(
-            program, capture_output=True, timeout=TIME_LIMIT, env=env, check=False
+            program, input=given, capture_output=True, timeout=TIME_LIMIT, env=env, check=False
         )
     except subprocess.TimeoutExpired as error:
         raise UrdfError(
@@ -136,14 +164,49 @@ class _Arguments(dict[str, str]):
         return ""
 
 
-def _main(path: str, *words: str) -> str | None:
-    """Flatten a file, with unchecked words ``NAME:=VALUE``, to standard output; return a line on a fault, or None."""
+MARK = "calib_at"
+"""The attribute by which `flatten_with_marks` says where a joint or an origin comes from."""
+
+
+class _Marks:
+    """Marks joints and origins of the files that xacro reads, and gives it other bytes for some."""
+
+    def __init__(self, xacro: Any, changed: Mapping[str, str]) -> None:  # noqa: ANN401  a module
+        self.files: list[str] = []
+        self._changed = changed
+        self._parse = xacro.parse
+        xacro.parse = self.parse
+
+    def parse(self, given: Any, filename: str | None = None) -> Any:  # noqa: ANN401  as of xacro.parse
+        """Return the document that xacro's own function returns, with marks."""
+        file = os.path.realpath(filename or "")
+        document = self._parse(self._changed.get(file, given), filename)
+        if file not in self.files:
+            self.files.append(file)
+        number = self.files.index(file)
+        for index, element in enumerate(document.getElementsByTagName("*")):
+            if element.tagName in ("joint", "origin"):
+                element.setAttribute(MARK, f"{number}:{index}")
+        return document
+
+
+def _main(*words: str) -> str | None:
+    """Flatten a file, with unchecked words ``NAME:=VALUE``, to standard output; return a line on a fault, or None.
+
+    With the first word ``--marks`` the text is printed as JSON, see `flatten_with_marks`.
+    """
     import xacro
+
+    marks = None
+    if words[0] == "--marks":
+        marks = _Marks(xacro, json.loads(sys.stdin.buffer.read()))
+        words = words[1:]
+    path, *words_after = words
 
     index: Any = types.ModuleType("ament_index_python.packages")  # all that xacro asks of ROS
     index.get_package_share_directory = lambda name: str(package_folder(name, Path(path)))
     sys.modules[index.__name__] = index
-    arguments = _Arguments(words)
+    arguments = _Arguments(tuple(words_after))
     output, sys.stdout = sys.stdout, sys.stderr  # for what the xacro itself prints
     try:
         document = xacro.process_file(path, mappings=arguments, verbosity=0)
@@ -159,7 +222,8 @@ def _main(path: str, *words: str) -> str | None:
     name = re.sub("-+", "-", Path(path).name)
     remark = document.childNodes[1]
     remark.data = f" |    This document was autogenerated by xacro from {name:<30} | "
-    output.write(document.toprettyxml(indent="  "))
+    text = document.toprettyxml(indent="  ")
+    output.write(text if marks is None else json.dumps({"text": text, "files": marks.files}))
     return arguments.misspelt() or None
 
 

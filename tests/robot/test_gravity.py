@@ -4,8 +4,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.errors import ModelError
-from calib.robot.gravity import GRAVITY, Payload, finite_vector, gravity_loads
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.robot.gravity import GRAVITY, Payload, check_masses, finite_vector, gravity_loads
 from calib.robot.kernel import BLOCK
 from calib.robot.robot import Robot
 
@@ -23,6 +26,24 @@ ROBOTS = [
     ("ur3", "tool0", "base"),
     ("panda", "panda_rightfinger", "panda_link2"),
 ]
+
+
+def test_masses_that_only_geoms_tell_are_asked_for(tmp_path):
+    world = '<body><joint name="{}"/><geom size="1"/>{}</body>'
+    world = world.format(
+        "j", world.format("k", "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>")
+    )
+    (tmp_path / "m.xml").write_text(f"<mujoco><worldbody>{world}</worldbody></mujoco>")
+    robot = Robot.load(tmp_path / "m.xml")
+    with pytest.raises(ModelError, match="'body_1' follow from geoms"):
+        check_masses(robot, "placement+compliance")
+    q = np.zeros((3, 2))
+    table = Measurements(robot.joint_names, q, np.ones((3, 3)))
+    with pytest.raises(ModelError, match="'body_1' follow from geoms"):
+        rows_and_setup(robot, table, Cell(model="placement+compliance"))
+    rows_and_setup(robot, table, Cell(model="placement+gravity"))
+    rows_and_setup(robot, table, Cell())
+    check_masses(Robot.load("ur3"), "placement+compliance")
 
 
 def potential(robot, values, payload=None, gravity=GRAVITY) -> float:

@@ -24,7 +24,7 @@ from calib.instruments.internals import initial_internals
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.parameter_sets import DIRECTIONS, split_name
-from calib.robot.gravity import gravity_loads
+from calib.robot.gravity import check_masses, gravity_loads
 from calib.robot.robot import Robot
 
 
@@ -76,6 +76,8 @@ def rows_and_setup(robot: Robot, measurements: Measurements, cell: Cell) -> tupl
     if not needs_loads:
         _, families = split_name(cell.model)
         needs_loads = any(FAMILIES[family].loaded for family in families)
+        if "compliance" in families and measurements.torques is None:
+            check_masses(robot, cell.model)
     frame = numbered(measurements.groups, setup.groups)
     target = numbered(measurements.targets, setup.targets)
     chain = setup.chains(robot, frame, target)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from calib.result.calibration import Calibration
+    from calib.robot.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,10 @@ class Outputs:
     """Outputs of ``calib calibrate``."""
 
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the corrected URDF.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="Write the corrected URDF (.urdf), or MuJoCo model (.xml)."
+        ),
     ] = None
     json: Annotated[Path | None, typer.Option("--json", help="Write the whole result as JSON.")] = (
         None
@@ -100,6 +104,38 @@ class Outputs:
         files = (self.output, self.json, self.view, self.report)
         check_outputs(files, inputs, force=self.force)
 
+    def check_robot(self, robot: Robot) -> None:
+        """Refuse, before the fit, the name of an MJCF for what cannot be written as one; raises `CalibError`."""
+        from calib.robot.mjcf_write import check_mjcf_output, is_mjcf_name
+
+        if self.output is None:
+            return
+        if is_mjcf_name(self.output) and (self.target_link or self.frame_link):
+            raise CalibError(
+                f"{self.output}: --target-link and --frame-link add links to a URDF; name it .urdf."
+            )
+        check_mjcf_output(robot, self.output)
+
+    def _write_robot(self, path: Path, result: Calibration) -> Iterator[Path | str]:
+        """Write the corrected URDF, or the corrected MJCF with what there is to say about it; yield the names."""
+        from calib.robot.mjcf_write import is_mjcf_name
+
+        if is_mjcf_name(path):
+            from calib.show.mjcf_text import mjcf_sentences
+            from calib.verbs.calibrate.write_urdf import write_corrected_mjcf
+
+            written = write_corrected_mjcf(result, path, overwrite=self.force)
+            yield from written.paths[1:]
+            yield f"{path}. {' '.join(mjcf_sentences(written))}"
+            return
+        yield result.write_urdf(
+            path,
+            overwrite=self.force,
+            target_link=self.target_link,
+            frame_link=self.frame_link,
+            accept=self.accept,
+        )
+
     def write(self, result: Calibration, tables: Mapping[str, Any]) -> Iterator[Path | str]:
         """Write the outputs that were asked for, one after the other.
 
@@ -123,13 +159,7 @@ class Outputs:
             # Figures that exist are refused before anything is written.
             figure_files(drawings(result), self.figures, self.figure_format or "png")
         if self.output is not None and (self.accept or not do_not_use_text(result.verdict)):
-            yield result.write_urdf(
-                self.output,
-                overwrite=self.force,
-                target_link=self.target_link,
-                frame_link=self.frame_link,
-                accept=self.accept,
-            )
+            yield from self._write_robot(self.output, result)
         if self.json is not None:
             from calib.result.calibration_file import write_result
 
@@ -287,6 +317,7 @@ def calibrate(
         solver_options.check()
         trying(data.name)
         arm, measurements = load_with_data(robot, cell, data, table_options)
+        outputs.check_robot(arm)
 
         from calib.result.calibrate import calibrate as calibrate_robot
         from calib.show.verdict_text import do_not_use_text, refusal

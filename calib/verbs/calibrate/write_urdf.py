@@ -14,6 +14,7 @@ from calib.model.kinematics import Samples
 from calib.result.calibration import Calibration
 from calib.result.transforms import has_pose
 from calib.robot.joined_urdf import SEPARATOR, path_of_robot
+from calib.robot.mjcf_write import WrittenMjcf, check_one_robot, is_mjcf_name, model_of, write_mjcf
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.urdf import FRAME_LINK, TARGET_LINK, Urdf
@@ -47,6 +48,12 @@ def write_urdf(
     verdict_against = do_not_use_text(c.verdict)
     if verdict_against and not accept:
         raise VerdictError(refusal(f"'{path}'", verdict_against))
+    if is_mjcf_name(path):
+        if target_link or frame_link:
+            raise ModelError(
+                "Links at targets and frames are added to a URDF; name the file .urdf."
+            )
+        return write_corrected_mjcf(c, path, overwrite=overwrite).paths[0]
     urdf = checked_urdf(c, target_link=target_link, frame_link=frame_link)
     if c.robot.parts:
         links = added_links(c, target_link=target_link, frame_link=frame_link)
@@ -71,11 +78,46 @@ def checked_urdf(c: Calibration, *, target_link: bool = False, frame_link: bool 
         urdf = _with_link(urdf, link)
     robot = c.robot.with_urdf(urdf)
     q = random_joint_values(robot)
-    # Straight from the parameters, by the path that the fit took, not through the corrected robot.
-    chain = np.repeat(np.arange(len(robot.chains)), len(q))
-    samples = replace(Samples.at(np.tile(q, (len(robot.chains), 1))), chain=chain)
-    check_written(robot, c.geometry.tips(samples), q)
+    check_written(robot, _poses_of_fit(c, q), q)
     return urdf
+
+
+def write_corrected_mjcf(c: Calibration, path: str | Path, *, overwrite: bool) -> WrittenMjcf:
+    """Write the corrected MJCF of a calibration of a robot that was read from one, after reading it back.
+
+    Args:
+        c: The calibration.
+        path: The file.
+        overwrite: Whether a file that exists is replaced.
+
+    Raises:
+        FileError: The robot is of no MJCF, or a file exists or cannot be written.
+        ModelError: The calibration is of several robots.
+        UrdfError: calib or MuJoCo reads it otherwise.
+    """
+    check_one_robot(c.robot)
+    model = model_of(c.nominal.urdf, str(path))
+    q = random_joint_values(c.robot)
+    return write_mjcf(
+        model,
+        c.robot,
+        q,
+        _poses_of_fit(c, q),
+        path,
+        overwrite=overwrite,
+        verdict=do_not_use_text(c.verdict),
+    )
+
+
+def _poses_of_fit(c: Calibration, q: Array) -> Array:
+    """Return T_base_tip (N, 4, 4) [m] of all chains, one after the other, at readings q (N, m).
+
+    They come straight from the parameters, by the path that the fit took, not through the corrected robot.
+    """
+    count = len(c.robot.chains)
+    chain = np.repeat(np.arange(count), len(q))
+    samples = replace(Samples.at(np.tile(q, (count, 1))), chain=chain)
+    return np.asarray(c.geometry.tips(samples))
 
 
 def added_links(

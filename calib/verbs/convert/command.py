@@ -44,6 +44,7 @@ Examples:
   calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
   calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
   calib convert result.json --to zeros -o zeros.csv
+  calib convert result.json --to mjcf --robot scene.xml -o corrected.xml
   calib convert rows.csv --to urdf -o robot.urdf
   calib convert result.json --to camera-mount --camera-frame color_optical --move camera_joint -o robot.urdf
   calib convert result.json --camera-frame color_optical -o camera.launch.py
@@ -61,7 +62,7 @@ def convert(
         typer.Argument(
             metavar="SOURCE",
             help="result.json, calibration.conf, kinematics.yaml, origins.yaml, DH rows (.csv, .json), a "
-            "URDF or xacro, or a robot's name.",
+            "URDF, xacro or MJCF, or a robot's name.",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
@@ -70,8 +71,8 @@ def convert(
         str | None,
         typer.Option(
             metavar="ROBOT",
-            help="Nominal URDF or xacro, or the name of a robot. Default: the one in a result, or a bare arm for "
-            "--ur-model.",
+            help="Nominal URDF or xacro, or the name of a robot; for --to mjcf and xacro the file to correct. Default: "
+            "the one in a result, or a bare arm for --ur-model.",
         ),
     ] = None,
     ur_model: Annotated[
@@ -169,7 +170,8 @@ def convert(
     from calib.verbs.convert.format import CameraOptions, Options
     from calib.verbs.convert.text import text
 
-    check_outputs([output], [source, robot, urcontrol, hash_from, update], force=force)
+    inputs = [source, robot, urcontrol, hash_from, update]
+    check_outputs([output], inputs, force=force, xacro=to in (None, "xacro"))
     chain = cell_options.cell()
     camera_options = CameraOptions(
         camera=camera,

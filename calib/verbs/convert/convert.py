@@ -16,10 +16,12 @@ import calib.basics.plugins as plugins
 import calib.verbs.convert.camera_intrinsics as camera_intrinsics
 import calib.verbs.convert.camera_mount as camera_mount
 import calib.verbs.convert.dh as dh
+import calib.verbs.convert.mjcf as mjcf
 import calib.verbs.convert.origins as origins
 import calib.verbs.convert.static_transform as static_transform
 import calib.verbs.convert.ur_formats as ur_formats
 import calib.verbs.convert.urdf_formats as urdf_formats
+import calib.verbs.convert.xacro as xacro
 import calib.verbs.convert.zeros as zeros
 from calib.basics.arguments import check_type
 from calib.basics.files import read_bytes
@@ -62,6 +64,8 @@ __all__ = [
 
 FORMATS: dict[str, Format] = {
     **urdf_formats.FORMATS,
+    **mjcf.FORMATS,
+    **xacro.FORMATS,
     **ur_formats.FORMATS,
     **origins.FORMATS,
     **dh.FORMATS,
@@ -211,14 +215,19 @@ def read_source(
         ModelError: The robot does not fit the result or the file.
         CalibError: Something that is needed was not given, such as the format.
     """
+    kind = "robot"
     if isinstance(source, Calibration):
-        name = chosen_format(path, options.to, "result")
+        kind = "result"
+    elif not isinstance(source, Robot):
+        kind = source_kind(str(source))
+    name = chosen_format(path, options.to, kind)
+    of_source = FORMATS[name].options_of_source
+    if of_source is not None:
+        options = of_source(options)
+    if isinstance(source, Calibration):
         return urdf_formats.result_source(source, options, "The calibration"), name
     if isinstance(source, Robot):
-        name = chosen_format(path, options.to, "robot")
         return urdf_formats.robot_source(source, options), name
-    kind = source_kind(str(source))
-    name = chosen_format(path, options.to, kind)
     return KINDS[kind].read(str(source), options), name
 
 

@@ -191,6 +191,8 @@ class Format(NamedTuple):
     of_camera: bool = False
     #: Whether it has the corrected chain, so that the displacement of the tip is printed.
     has_chain: bool = True
+    #: The options with which its source is read, if ``robot``, ``base`` and ``tip`` are those of the file to write.
+    options_of_source: Callable[[Options], Options] | None = None
     #: Paragraphs in words about what was written; None: there is nothing to add.
     describe: Callable[[Conversion], list[str]] | None = None
     #: The command that uses the file, printed last; None: there is none.

@@ -147,7 +147,7 @@ def write_urdf(source: Source, path: Path, options: Options) -> Notes:
     return (Note("coupled readings", sentence, (coupling_lines(coupled), known)),)
 
 
-FORMATS = {"urdf": Format("the URDF", (".urdf", ".xml"), write_urdf)}
+FORMATS = {"urdf": Format("the URDF", (".urdf",), write_urdf)}
 
 KINDS = {
     "result": SourceKind(
@@ -155,5 +155,5 @@ KINDS = {
         "",
         lambda source, options: result_source(read_result(source), options, source),
     ),
-    "robot": SourceKind(("", ".urdf", ".xml"), "", robot_source),
+    "robot": SourceKind(("", ".urdf", ".xml", ".mjcf", ".sdf"), "", robot_source),
 }

@@ -28,6 +28,7 @@ from calib.verbs.convert.format import CameraOptions, Options, Source
 from calib.verbs.convert.text import text
 from calib.verbs.convert.ur_arms import chain_poses
 from tests.parts import with_part
+from tests.robot.ur3_mjcf import ur3_mjcf
 from tests.two_handed import fitted
 from tests.verbs.convert.forms import UR3, write_forms
 from tests.verbs.convert.ur_cases import CALIBRATIONS, rows, write_deltas
@@ -277,6 +278,8 @@ ENDINGS = {
     "lerobot-dynamixel": ".json",
     "camera-mount": ".urdf",
     "static-transform": ".sh",
+    "mjcf": ".xml",
+    "xacro": ".xacro",
 }
 #: Written of results of images alone, which this is not.
 OF_IMAGES = {"camera-info", "opencv"}
@@ -301,8 +304,18 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_no_format_is_written_of_what_is_not_to_be_used(verdicts: Path, tmp_path: Path, name: str):
     path = tmp_path / f"made{ENDINGS.get(name, '.csv')}"
     camera = TRACKER if FORMATS[name].of_camera else CameraOptions()
+    robot = None
+    if name == "mjcf":
+        robot = ur3_mjcf(verdicts / "scene.xml")
+    if name == "xacro":  # a URDF is a xacro without macros
+        robot = verdicts / "robot.xacro"
+        robot.write_bytes((verdicts / "robot.urdf").read_bytes())
     options = Options(
-        to=name, hash_from=verdicts / "calibration.conf", ur_model="UR3", camera=camera
+        to=name,
+        hash_from=verdicts / "calibration.conf",
+        ur_model="UR3",
+        camera=camera,
+        robot=robot,
     )
     with pytest.raises(VerdictError, match="parameter_far"):
         convert(str(verdicts / "bad.json"), path, options=options)
