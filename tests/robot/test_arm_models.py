@@ -13,8 +13,8 @@ from calib.robot.arm_models import ARMS, arm_model, arm_urdf, find_arm, named_ar
 from calib.robot.robot import Robot
 from calib.robot.ur_models import ur_model, ur_urdf
 
-#: Flange over the base with all joints at zero [m], from the makers' drawings: UFACTORY's arms are folded, Flexiv's stand
-#: upright.
+#: Flange over the base with all joints at zero [m], from the makers' drawings: UFACTORY's arms are folded then, and
+#: Flexiv's stand upright.
 FLANGES = {
     "xArm5": (0.207, 0.0, 0.112),
     "xArm6": (0.207, 0.0, 0.112),
