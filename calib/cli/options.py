@@ -267,7 +267,8 @@ class ColumnChoice:
         str | None,
         typer.Option(
             metavar="UNIT",
-            help='Unit of joint columns that name none, such as "deg"; "deg mm" if some joints slide.',
+            help='Unit of joint columns that name none, such as "deg"; "deg mm" if some joints slide; of servos '
+            '"ticks" or "%", with --motors.',
         ),
     ] = None
 
@@ -299,6 +300,19 @@ class TableOptions(ColumnChoice):
 
     points: PointsFile = None
     points_unit: PointsUnit = None
+    motors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|TICKS@ZERO",
+            help="What joint columns in ticks or LeRobot's numbers mean: LeRobot's calibration file, or the ticks in a "
+            "turn and the tick of the joints' zero, such as 4096@2048.",
+        ),
+    ] = None
+
+    def parsed(self) -> ColumnOptions:
+        """Return the options for columns, with what the numbers of servos mean; see `ColumnChoice.parsed`."""
+        options = ColumnChoice(self.columns, self.orientation, self.joint_unit).parsed()
+        return replace(options, motors=self.motors)
 
 
 @dataclass(frozen=True, slots=True)
