@@ -303,8 +303,8 @@ class TableOptions(ColumnChoice):
         str | None,
         typer.Option(
             metavar="FILE|TICKS@ZERO",
-            help="What joint columns in ticks, or in LeRobot's numbers from -100 to 100 (--joint-unit ticks or %), mean: "
-            "LeRobot's calibration file, or the ticks in a turn and the tick of the joints' zero, such as 4096@2048.",
+            help="What joint columns in ticks, or in LeRobot's numbers from -100 to 100 (--joint-unit ticks or %), "
+            "mean: LeRobot's calibration file, or the ticks in a turn and the tick of the joints' zero, as 4096@2048.",
         ),
     ] = None
 

@@ -15,6 +15,7 @@ from calib.basics.tables import Column, Table
 from calib.basics.units import UNITS, Quantity, split_header, symbols
 from calib.data.forms import orientations
 from calib.data.forms.column_options import (
+    LEROBOT,
     PERCENT,
     TICKS,
     ColumnOptions,
@@ -219,6 +220,8 @@ def _map_by_brand(
     free_joints = [name for name in joint_names if name not in taken]
     by_brand = names_by_brand(brand, table.source, free_columns, free_joints)
 
+    if brand.name == LEROBOT:  # whose tables are in degrees or not
+        return by_brand
     # Without the robot it is not known which axes slide; they are taken as turning.
     units = dict.fromkeys(() if joint_names else by_brand.values(), COMMON["angle"])
     units |= dict.fromkeys(POINT, COMMON["length"])

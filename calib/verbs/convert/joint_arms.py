@@ -13,6 +13,9 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.robot.urdf_tree import UrdfJoint
 
+#: A robot within this of a nominal arm is nominal [m and 1].
+_SAME = 1e-6
+
 #: A robot within this of a nominal arm is that arm, calibrated [m and 1].
 _CALIBRATED = 0.05
 
@@ -57,6 +60,11 @@ def known_arm(robot: Robot) -> ArmModel | None:
     """Return the known arm with the joints of a robot, nominal or calibrated, and the nearest origins, or None."""
     nearest = min(ARMS, key=lambda arm: _distance(robot, arm))
     return nearest if _distance(robot, nearest) <= _CALIBRATED else None
+
+
+def is_nominal(robot: Robot) -> bool:
+    """Return True if a robot has the joints of a known arm as on its data sheet."""
+    return any(_distance(robot, arm) <= _SAME for arm in ARMS)
 
 
 def flange_distance(robot: Robot, other: Robot) -> float:

@@ -34,6 +34,9 @@ POSE_KEYS: Mapping[str, float] = dict.fromkeys("xyz", 10.0) | dict.fromkeys(
 #: Keys that say nothing of the robot.
 _GENERIC = frozenset({"", "/", "**", "kinematics", "ros__parameters"})
 
+#: Levels of tables in a file that are looked at.
+_DEEPEST = 12
+
 #: Longest text of a file that a message quotes.
 _QUOTED = 40
 
@@ -179,14 +182,19 @@ def _is_pose(value: object) -> bool:
     return isinstance(value, dict) and POSE_KEYS.keys() <= value.keys()
 
 
-def _nested(content: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return a table with its keys as texts, and those of a dump, which points or slashes join, taken apart."""
+def _nested(content: Mapping[Any, Any], depth: int = 0) -> dict[str, Any]:
+    """Return a table with its keys as texts, and those of a dump, which points or slashes join, taken apart.
+
+    Tables at `_DEEPEST` and below are left out: an alias of YAML can name a table in itself.
+    """
     result: dict[str, Any] = {}
     for key, value in content.items():
         name = str(key)
         is_dump = name.startswith("/") or not isinstance(value, dict)
         levels = [part for part in re.split(r"[./]", name) if part] if is_dump else [name]
-        inside = _nested(value) if isinstance(value, dict) else value
+        if isinstance(value, dict) and depth == _DEEPEST:
+            continue
+        inside = _nested(value, depth + 1) if isinstance(value, dict) else value
         _put(result, levels or [name], inside)
     return result
 

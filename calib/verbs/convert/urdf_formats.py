@@ -18,7 +18,7 @@ from calib.robot.readback import check_written
 from calib.robot.robot import Robot
 from calib.robot.ur_models import UrModel
 from calib.verbs.convert.format import Format, Note, Notes, Options, Source, SourceKind
-from calib.verbs.convert.joint_arms import arm_robot, check_arm, known_arm
+from calib.verbs.convert.joint_arms import arm_robot, check_arm, is_nominal, known_arm
 from calib.verbs.convert.ur_arms import Mount, the_mount, ur_robot
 
 
@@ -92,12 +92,12 @@ def robot_source(given: RobotInput, options: Options) -> Source:
     else:
         mount = _mount(robot)
         arm = None if options.arm is None else find_arm(options.arm)
-        if mount is not None and mount.nominal:
+        if is_nominal(robot) if mount is None else mount.nominal:
             nominal = robot  # an arm with the kinematics of the data sheet is its own nominal robot
         elif arm is not None:
             bare = ur_robot(arm) if isinstance(arm, UrModel) else arm_robot(arm)
             nominal = bare.rebuilt(base=robot.base, tip=robot.tip)
-    model = None if nominal is None else arm_of(nominal, options)
+    model = known_arm(robot) if nominal is None else arm_of(nominal, options)
     return Source("robot", robot, nominal, model=model)
 
 

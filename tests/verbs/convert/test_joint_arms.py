@@ -15,6 +15,7 @@ from calib.verbs.convert.joint_arms import (
     arm_robot,
     check_arm,
     flange_distance,
+    is_nominal,
     known_arm,
 )
 
@@ -41,6 +42,7 @@ def test_every_arm_is_recognised(arm):
     assert numbered is not None
     assert (numbered.prefix, len(numbered.joints)) == ("left_", len(arm.axes))
     assert known_arm(robot) is arm
+    assert [is_nominal(r) for r in (robot, prefixed(arm_robot(arm), "left_"))] == [False, True]
     check_arm(robot, arm)
     for other in ARMS:
         if other is not arm and len(other.axes) != len(arm.axes):

@@ -73,6 +73,8 @@ def test_one_of_several_robots_is_named():
         find_table("d.yaml", {"left": {"kinematics": TABLE}}, "right")
     assert find_table("d.yaml", {"kinematics": {"shoulder": {"x": 1}}}, None) is None
     assert tables_in({"a": 1, "b": ["x"]}) == ()
+    endless = yaml.safe_load("a: &a {b: *a, kinematics: {shoulder: {x: 1}}}")
+    assert tables_in(endless) == ()
 
 
 def test_numbers_of_the_robots_own_file_stay_digit_for_digit():
