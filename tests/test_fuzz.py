@@ -13,12 +13,15 @@ from pathlib import Path
 import pytest
 
 import calib
+from calib.data.forms.servo_columns import Motors
 from calib.data.points_file import read_points
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
+from calib.robot.ur_models import ur_model
 from calib.verbs.compensate.program_table import read_program
 from calib.verbs.convert.convert import KINDS, source_kind
 from calib.verbs.convert.format import Options
+from calib.verbs.convert.ur_files import kinematics_bytes
 from calib.verbs.plan.solids import read_solids
 from calib.verbs.workspace.region_file import read_region
 from tests.parts import of_an_earlier_version
@@ -43,6 +46,10 @@ def convert(path: Path) -> object:
     return KINDS[source_kind(str(path))].read(
         str(path), Options(robot=ARM, base="base", tip="tool0")
     )
+
+
+def factory(path: Path) -> object:
+    return KINDS[source_kind(str(path))].read(str(path), Options())
 
 
 def program(path: Path) -> object:
@@ -72,6 +79,14 @@ def results(folder: Path) -> list[bytes]:
 
 
 CALIBRATE = f"calibrate {ARM} {DATA} --base base --tip tool0 --model dh --json r.json"
+#: Kinematics of an arm of Universal Robots.
+UR = kinematics_bytes(ur_model("UR5e").chain, "calib_1")
+
+#: LeRobot's calibration file.
+MOTORS = (
+    b'{"a": {"id": 1, "drive_mode": 0, "homing_offset": -7, "range_min": 10, "range_max": 4000}}'
+)
+
 WORKSPACE = f"workspace {ARM} --base base --tip tool0 --samples 5000 -o w.json"
 LIST = b"# Units: mm\nP1 100.5 200 300\nP2 -1 2e2 3.5\nP3 7 8 9\n"
 
@@ -86,6 +101,9 @@ READERS = [
     ("r.json", convert, results),
     ("o.yaml", convert, lambda _: [p.read_bytes() for p in ROOT.glob("urdf/*.yaml")]),
     ("w.json", read_region, made(WORKSPACE)),
+    ("k.yaml", factory, made("convert xarm6 --to ufactory-yaml -o k.yaml")),
+    ("u.yaml", factory, lambda _: [b"/left/driver:\n  " + UR.replace(b"\n", b"\n  "), UR]),
+    ("m.json", Motors.read, lambda _: [MOTORS]),
 ]
 
 

@@ -299,6 +299,19 @@ class TableOptions(ColumnChoice):
 
     points: PointsFile = None
     points_unit: PointsUnit = None
+    motors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|TICKS@ZERO",
+            help="What joint columns in ticks, or in LeRobot's numbers from -100 to 100 (--joint-unit ticks or %), "
+            "mean: LeRobot's calibration file, or the ticks in a turn and the tick of the joints' zero, as 4096@2048.",
+        ),
+    ] = None
+
+    def parsed(self) -> ColumnOptions:
+        """Return the options for columns, with what the numbers of servos mean; see `ColumnChoice.parsed`."""
+        options = ColumnChoice(self.columns, self.orientation, self.joint_unit).parsed()
+        return replace(options, motors=self.motors)
 
 
 @dataclass(frozen=True, slots=True)

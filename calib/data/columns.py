@@ -16,6 +16,9 @@ from calib.basics.tables import Column, Table
 from calib.basics.units import UNITS, Quantity, find_unit, is_unit, split_header, symbols
 from calib.data.forms import orientations
 from calib.data.forms.column_options import (
+    LEROBOT,
+    PERCENT,
+    TICKS,
     ColumnOptions,
     ColumnsInput,
     brands_like,
@@ -241,10 +244,13 @@ def _map_by_brand(
     free_joints = [name for name in joint_names if name not in taken]
     by_brand = names_by_brand(brand, table.source, free_columns, free_joints)
 
+    if brand.name == LEROBOT:  # whose tables are in degrees or not
+        return by_brand
     # Without the robot it is not known which axes slide; they are taken as turning.
     units = dict.fromkeys(() if joint_names else by_brand.values(), COMMON["angle"])
     units |= dict.fromkeys(POINT, COMMON["length"])
-    units |= dict.fromkeys(brand.orientation, orientations.find_convention(brand.name).unit)
+    if brand.convention is not None:
+        units |= dict.fromkeys(brand.orientation, brand.convention.unit)
     result = {}
     for i, name in by_brand.items():
         has_unit = split_header(table.header[i])[1] is not None or not units.get(name)
@@ -323,6 +329,12 @@ def joint_with_unit(
     names = [split_header(label)[0] for label in table.header]
     remedies = [f"--columns {brand.name}" for brand in brands_like(names) if not options.brand]
     remedies.append(f"--joint-unit {COMMON[quantity]}")
+    if column.symbol in (TICKS, PERCENT):
+        raise MeasurementError(
+            f"{table.source}, column '{column.label}': '{column.symbol}' says nothing without the servo. Give "
+            "LeRobot's calibration file as --motors FILE, or the ticks in a turn and the tick of the joints' zero, "
+            "such as --motors 4096@2048."
+        )
     return with_unit(table, column, quantity, what, also=" or ".join(remedies))
 
 

@@ -50,6 +50,7 @@ from calib.data.columns import (
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.flange_poses import with_flange_joints
 from calib.data.forms.orientations import QUATERNION
+from calib.data.forms.servo_columns import with_servo_angles
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
 from calib.data.points_file import read_points
@@ -275,7 +276,7 @@ class Measurements(Value):
                 ``{"J1": "shoulder_pan_joint [deg]"}``, for a column that has none; to ``"-"`` to
                 leave a column out. Several columns may be mapped to ``"group"``. A
                 `ColumnOptions` says besides the brand that names the others, the convention of
-                orientations and the unit of joints. None: no column is renamed.
+                orientations, the unit of joints and what the numbers of servos mean. None: no column is renamed.
             kind: The kind of all rows. None: from the column ``kind``, else from the columns there
                 are: ``pose`` with an orientation, ``distance`` or ``pair`` with a distance and no
                 position, else ``point``.
@@ -299,6 +300,8 @@ class Measurements(Value):
         table = path if isinstance(path, Table) else Table.read(path)
         if is_flange_robot(joint_names or ()):
             table, columns = with_flange_joints(table, columns)
+        else:
+            table, columns = with_servo_angles(table, columns)
         layout = Layout.find(
             table,
             joint_names,

@@ -212,14 +212,6 @@ def ur_urdf(model: UrModel) -> bytes:
     return urdf_bytes(model.plain, [remark], "base_link", joints)
 
 
-def named_ur_urdf(name: str) -> bytes | None:
-    """Return the URDF of an arm by a name such as ``"ur10e"``, see `ur_model`; None if no arm has it."""
-    try:
-        return ur_urdf(ur_model(name))
-    except ModelError:
-        return None
-
-
 def _rods_to(T_joint_next: Array, radius: float) -> tuple[Cylinder, ...]:
     """Return the body of a link [m] from the joint that carries it to the next one, whose pose (4, 4) is given."""
     return tuple(rods([np.zeros(3), T_joint_next[:3, 3]], radius))

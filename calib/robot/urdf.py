@@ -22,13 +22,14 @@ from calib.basics.json_files import parse_json
 from calib.basics.values import Value
 from calib.errors import CalibError, UrdfError, choices, did_you_mean
 from calib.robot import flange
+from calib.robot.arm_models import ARMS, named_arm_urdf
 from calib.robot.cylinder_urdf import REMARK, dh_urdf
 from calib.robot.dh_file import ENDINGS, read_dh_robot, robot_of_json
 from calib.robot.dh_rows import DHRobot
 from calib.robot.mjcf import Mjcf
 from calib.robot.mjcf_files import is_mjcf
 from calib.robot.mjcf_urdf import REMARK as MJCF_REMARK, MjcfOrigin, mjcf_urdf
-from calib.robot.ur_models import MODELS, named_ur_urdf, ur_model
+from calib.robot.ur_models import MODELS
 from calib.robot.urdf_tree import UrdfJoint, read_tree
 from calib.robot.urdf_xml import Document
 from calib.robot.xacro_file import XacroCall, flatten, is_xacro
@@ -433,7 +434,8 @@ def read_urdf(source: str | Path) -> Urdf:
     """Read the URDF of a file, of a xacro that arguments may follow, or of a robot by its name.
 
     A file of DH rows or a MuJoCo model (MJCF) is read as the URDF that it states. Names are those of example-robot-data
-    and, for arms that it does not have, those of Universal Robots' arms, such as ``"ur10e"``.
+    and, for arms that it does not have, those of arms of Universal Robots, UFACTORY and Flexiv, such as ``"ur10e"`` and
+    ``"xarm6"``.
 
     Raises:
         FileError: The file cannot be read.
@@ -462,11 +464,14 @@ def read_urdf(source: str | Path) -> Urdf:
     name = str(source)
     if name == flange.NAME:
         return Urdf.from_bytes(flange.flange_urdf(), "the poses of the flange")
-    of_arm = named_ur_urdf(name)
+    of_arm = named_arm_urdf(name)
     if of_arm is not None:
-        return Urdf.from_bytes(of_arm, f"the nominal {ur_model(name).name}")
+        data, arm = of_arm
+        return Urdf.from_bytes(data, f"the nominal {arm}")
     files = {file.removesuffix(".urdf").removesuffix("_robot") for file in robot_data_urdfs()}
-    known = sorted(files | {model.plain for model in MODELS} | {flange.NAME})
+    known = sorted(
+        files | {model.plain for model in MODELS} | {arm.plain for arm in ARMS} | {flange.NAME}
+    )
     raise UrdfError(
         f"'{name}' is neither a file here nor a robot whose name calib knows{_similar(name, known)}. Give the path of "
         f"a URDF, a xacro, an MJCF or DH rows, or one of {choices(known)}."

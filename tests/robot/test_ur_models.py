@@ -12,7 +12,6 @@ from calib.errors import ModelError
 from calib.robot.ur_models import (
     MODELS,
     chain_of_rows,
-    named_ur_urdf,
     ur_model,
     ur_urdf,
 )
@@ -32,8 +31,3 @@ def test_the_flange_of_the_urdf_is_that_of_the_rows(model):
     for T in chain_of_rows(model.rows):
         by_rows = by_rows @ T
     np.testing.assert_allclose(at_flange, by_rows, rtol=0, atol=1e-12)
-
-
-def test_only_names_of_arms_have_a_urdf():
-    assert named_ur_urdf("ur10e") == ur_urdf(ur_model("UR10e"))
-    assert named_ur_urdf("panda") is None

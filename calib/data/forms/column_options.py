@@ -7,6 +7,7 @@ some arms between others.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -15,7 +16,7 @@ from typing import TypeAlias
 from calib.basics.arguments import check_mapping, check_type
 from calib.basics.units import Quantity, find_unit, symbols
 from calib.basics.values import ReadOnlyMapping
-from calib.data.forms.orientations import Convention, find_convention
+from calib.data.forms.orientations import CONVENTIONS, Convention, find_convention
 from calib.errors import CalibError, MeasurementError, choices, did_you_mean
 
 # Brands
@@ -25,6 +26,15 @@ _NUMBERED = tuple(f"J{i}" for i in range(1, 8))
 
 #: Least number of a brand's axes by which a table is taken to be of that brand.
 _FEWEST_AXES = 4
+
+LEROBOT = "lerobot"
+"""The brand of LeRobot, whose numbers `calib.data.forms.servo_columns` turns into angles."""
+
+TICKS = "ticks"
+"""The unit of a servo's encoder, as a column or ``--joint-unit`` names it."""
+
+PERCENT = "%"
+"""The unit of LeRobot's numbers from -100 to 100."""
 
 #: Columns of a position, in lower case.
 _POSITION = ("x", "y", "z")
@@ -51,13 +61,19 @@ class Brand:
         return max(by_series, key=len)
 
     @property
+    def convention(self) -> Convention | None:
+        """The convention of orientations with the brand's name; None if the brand has none."""
+        return CONVENTIONS.get(self.name)
+
+    @property
     def orientation(self) -> tuple[str, ...]:
-        """The columns of an orientation, which is of the convention with the brand's name."""
-        return find_convention(self.name).columns
+        """The columns of an orientation; none if the brand has no convention."""
+        return () if self.convention is None else self.convention.columns
 
     def is_oriented_in(self, names: Sequence[str]) -> bool:
-        """Return True if the columns of the orientation are among names of columns."""
-        return all(_position_of(name, names) is not None for name in self.orientation)
+        """Return True if the brand has columns of an orientation, and they are among names of columns."""
+        found = [_position_of(name, names) is not None for name in self.orientation]
+        return bool(found) and all(found)
 
 
 _ROWS = (
@@ -77,6 +93,20 @@ _ROWS = (
     Brand("staubli", "Stäubli", (_NUMBERED,), ()),
     # E, the seventh axis of some arms, is between the second and the third of the others.
     Brand("yaskawa", "Yaskawa", (tuple("SLEURBT"),), ("E1", "E2", "E3")),
+    Brand(
+        LEROBOT,
+        "LeRobot",
+        (
+            (
+                "shoulder_pan.pos",
+                "shoulder_lift.pos",
+                "elbow_flex.pos",
+                "wrist_flex.pos",
+                "wrist_roll.pos",
+            ),
+        ),
+        ("gripper.pos",),
+    ),
 )
 
 #: All brands by name.
@@ -192,6 +222,9 @@ def _position_of(name: str, names: Sequence[str], *, in_any_case: bool = False) 
 
 # Options
 
+#: Units of servos, which say nothing without `ColumnOptions.motors`.
+_OF_SERVOS = (TICKS, PERCENT)
+
 #: Units of the joints of a brand's tables that name none.
 _UNITS_OF_BRANDS: Mapping[Quantity, str] = {"angle": "deg", "length": "mm"}
 
@@ -212,8 +245,12 @@ class ColumnOptions:
     brand: str | None = None
     #: One of `calib.data.forms.orientations.CONVENTIONS`; None: as the columns' names say.
     orientation: str | None = None
-    #: Unit of the joints whose columns name none, ``"deg"``; ``"deg mm"`` if some slide. None: each names its own.
+    #: Unit of the joints whose columns name none, ``"deg"``; ``"deg mm"`` if some slide; of servos `TICKS`, `PERCENT`.
+    #: None: each names its own.
     joint_unit: str | None = None
+    #: What the numbers of servos mean: LeRobot's calibration file, or ticks in a turn and the tick of the joints' zero,
+    #: ``"4096@2048"``; see `calib.data.forms.servo_columns.Motors.parse`. None: there are none.
+    motors: str | os.PathLike[str] | None = None
 
     def __post_init__(self) -> None:
         """Check the words."""
@@ -225,7 +262,9 @@ class ColumnOptions:
             find_brand(self.brand)
         if self.orientation is not None:
             find_convention(self.orientation)
-        _units(self.joint_unit)
+        check_type("motors", self.motors, (str, os.PathLike, type(None)), "a file, or a text")
+        if self.joint_unit not in _OF_SERVOS:
+            _units(self.joint_unit)
 
     @property
     def brand_entry(self) -> Brand | None:
@@ -235,8 +274,9 @@ class ColumnOptions:
     @property
     def conventions(self) -> tuple[Convention, ...]:
         """The convention of orientations that was given, then the brand's; none: as the columns' names say."""
-        given = [name for name in (self.orientation, self.brand) if name is not None]
-        return tuple(map(find_convention, given))
+        given = None if self.orientation is None else find_convention(self.orientation)
+        of_brand = None if self.brand_entry is None else self.brand_entry.convention
+        return tuple(row for row in (given, of_brand) if row is not None)
 
     def joint_unit_of(self, quantity: Quantity) -> str | None:
         """Return the symbol of the unit of joints' columns without one; None if nothing says it.
@@ -244,8 +284,9 @@ class ColumnOptions:
         Args:
             quantity: ``"angle"`` of a joint that turns, ``"length"`` of one that slides.
         """
-        of_brand = {} if self.brand is None else _UNITS_OF_BRANDS
-        return _units(self.joint_unit).get(quantity, of_brand.get(quantity))
+        of_brand = {} if self.brand in (None, LEROBOT) else _UNITS_OF_BRANDS
+        of_joints = {} if self.joint_unit in _OF_SERVOS else _units(self.joint_unit)
+        return of_joints.get(quantity, of_brand.get(quantity))
 
 
 #: An argument ``columns``: names of calib by those of the table, or all options for columns; None: no option.
@@ -268,7 +309,8 @@ def _units(text: str | None) -> dict[Quantity, str]:
         if unit is None or unit.quantity not in ("angle", "length") or unit.quantity in units:
             raise MeasurementError(
                 f"The unit of joints (--joint-unit) was given as '{text}'; it is one of {choices(symbols('angle'))}, "
-                f'for joints that slide one of {choices(symbols("length"))}, or one of each: "deg mm".'
+                f'for joints that slide one of {choices(symbols("length"))}, or one of each: "deg mm"; of servos '
+                f"{choices(_OF_SERVOS)}."
             )
         units[unit.quantity] = unit.symbol
     return units

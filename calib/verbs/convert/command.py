@@ -39,9 +39,11 @@ def _formats() -> tuple[str, ...]:
 \b
 Examples:
   calib convert result.json --to dh -o rows.csv
-  calib convert calibration.conf --ur-model UR5e -o ur5e_calibrated.urdf
-  calib convert calibration.conf --ur-model UR5e -o kinematics.yaml
+  calib convert calibration.conf --arm UR5e -o ur5e_calibrated.urdf
+  calib convert calibration.conf --arm UR5e -o kinematics.yaml
   calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
+  calib convert xarm6_kinematics_AB12.yaml --robot xarm6.urdf -o xarm6_calibrated.urdf
+  calib convert result.json --to ufactory-yaml --update xarm6_kinematics_AB12.yaml -o xarm6_kinematics_calib.yaml
   calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.csv
   calib convert result.json --to zeros -o zeros.csv
   calib convert result.json --to mjcf --robot scene.xml -o corrected.xml
@@ -72,12 +74,24 @@ def convert(
         typer.Option(
             metavar="ROBOT",
             help="Nominal URDF or xacro, or the name of a robot; for --to mjcf and xacro the file to correct. Default: "
-            "the one in a result, or a bare arm for --ur-model.",
+            "the one in a result, or a bare arm for --arm.",
         ),
     ] = None,
-    ur_model: Annotated[
+    arm: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Model of an arm of Universal Robots, such as 'UR5e'."),
+        typer.Option(
+            "--arm",
+            "--ur-model",
+            metavar="NAME",
+            help="Model of an arm of Universal Robots, UFACTORY or Flexiv, such as 'UR5e', 'xArm6', 'Rizon4s'.",
+        ),
+    ] = None,
+    section: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KEY",
+            help="Which arm of a file with the kinematics of several: a key above its table, such as 'left'.",
+        ),
     ] = None,
     cell_options: ChainOptions,
     urcontrol: Annotated[
@@ -96,7 +110,7 @@ def convert(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="calibration.conf whose other lines are kept; or the robot's own file of offsets: "
+            help="calibration.conf or kinematics YAML whose other lines are kept; or the robot's own file of offsets: "
             "the output is a copy with the joint zeros added.",
         ),
     ] = None,
@@ -186,7 +200,8 @@ def convert(
     options = Options(
         to=to,
         robot=robot,
-        ur_model=ur_model,
+        arm=arm,
+        section=section,
         urcontrol=urcontrol,
         hash_from=hash_from,
         update=update,

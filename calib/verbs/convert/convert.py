@@ -16,6 +16,7 @@ import calib.basics.plugins as plugins
 import calib.verbs.convert.camera_intrinsics as camera_intrinsics
 import calib.verbs.convert.camera_mount as camera_mount
 import calib.verbs.convert.dh as dh
+import calib.verbs.convert.joint_formats as joint_formats
 import calib.verbs.convert.mjcf as mjcf
 import calib.verbs.convert.origins as origins
 import calib.verbs.convert.static_transform as static_transform
@@ -44,6 +45,7 @@ from calib.verbs.convert.format import (
     SourceKind as SourceKind,
     parse_yaml,
 )
+from calib.verbs.convert.kinematics_tables import names_in
 
 __all__ = [
     "FORMATS",
@@ -67,6 +69,7 @@ FORMATS: dict[str, Format] = {
     **mjcf.FORMATS,
     **xacro.FORMATS,
     **ur_formats.FORMATS,
+    **joint_formats.FORMATS,
     **origins.FORMATS,
     **dh.FORMATS,
     **zeros.FORMATS,
@@ -77,6 +80,7 @@ FORMATS: dict[str, Format] = {
 """Formats that can be written, by name, as in ``--to``."""
 
 KINDS: dict[str, SourceKind] = {
+    **joint_formats.KINDS,
     **ur_formats.KINDS,
     **dh.KINDS,
     **origins.KINDS,
@@ -162,7 +166,11 @@ def convert(
     path = Path(path)
     content, name = read_source(source, path, chosen)
     row = FORMATS[name]
-    if content.robot.branches and name in (*dh.FORMATS, *ur_formats.FORMATS):
+    if content.robot.branches and name in (
+        *dh.FORMATS,
+        *ur_formats.FORMATS,
+        *joint_formats.FORMATS,
+    ):
         tips = choices(chain.tip for chain in content.robot.chains)
         raise ModelError(
             f"The format '{name}' holds one chain, and {content.robot.name} has several, to {tips}. Write the URDF "
@@ -254,14 +262,15 @@ def source_kind(source: str) -> str:
     elif ending in TABLES:
         keys = ("equation",)
     elif ending in YAML:
-        keys = tuple(map(str, parse_yaml(read_bytes(source, "YAML file"), source, "YAML file")))
+        content = parse_yaml(read_bytes(source, "YAML file"), source, "YAML file")
+        keys = (*map(str, content), *names_in(content))
     for name, kind in KINDS.items():
         if ending in kind.endings and (not kind.key or kind.key in keys):
             return name
     raise FileError(
         f"{source}: neither its ending nor a key says what it is. Give a calibration.conf or a "
-        "kinematics.yaml of Universal Robots, a result (.json), an origins file (.yaml), DH rows (.csv, .json), a "
-        "URDF, a xacro, or the name of a robot such as 'ur3'."
+        "kinematics.yaml of Universal Robots, UFACTORY or Flexiv, a result (.json), an origins file (.yaml), DH rows "
+        "(.csv, .json), a URDF, a xacro, or the name of a robot such as 'ur3'."
     )
 
 

@@ -8,7 +8,7 @@ puts them together.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from calib.data.inputs import RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import Verdict
 from calib.errors import CalibError, FileError
 from calib.result.calibration import Calibration
+from calib.robot.arm_models import ArmModel
 from calib.robot.robot import Robot
 from calib.robot.ur_models import UrModel
 
@@ -76,15 +77,18 @@ class Options:
 
     #: Name of the format to write; None: by the ending of the file.
     to: str | None = None
-    #: The nominal robot, or its URDF, xacro or name; None: that of a result, or a bare one of ``ur_model``.
+    #: The nominal robot, or its URDF, xacro or name; None: that of a result, or a bare ``arm``.
     robot: RobotInput | None = None
-    #: Name of an arm of Universal Robots; None: found from the robot.
-    ur_model: str | None = None
-    #: The arm's file with the nominal rows of a ``calibration.conf``; None: those of the robot or of ``ur_model``.
+    #: Name of an arm of Universal Robots, UFACTORY or Flexiv; None: found from the robot.
+    arm: str | None = None
+    #: Which of several arms in a file with ``kinematics``: a key on the way to its table; None: there is one.
+    section: str | None = None
+    #: The arm's file with the nominal rows of a ``calibration.conf``; None: those of the robot or of ``arm``.
     urcontrol: str | Path | None = None
     #: The robot's own ``kinematics.yaml`` or ``calibration.conf``, whose hash a new ``kinematics.yaml`` keeps.
     hash_from: str | Path | None = None
-    #: A ``calibration.conf`` whose other lines a new one keeps; or a file of offsets, to which zeros are added.
+    #: The robot's own file, of which a copy is written: a ``calibration.conf`` or the kinematics of another maker,
+    #: whose other lines stay, or a file of offsets, to which zeros are added.
     update: str | Path | None = None
     #: Ticks per turn of a servo's encoder, in which zeros are stored.
     ticks: int = 4096
@@ -127,6 +131,18 @@ class Options:
             return source
         return Robot.from_urdf(source.urdf, base, tip, held=held, coupling=coupling)
 
+    def on_chain(self, source: Source) -> Source:
+        """Return what was read onto a bare arm, with the base, the tip and the held joints of these options."""
+        if not (self.base or self.tip or self.held):
+            return source
+
+        def chain(robot: Robot) -> Robot:
+            base, tip = self.base or robot.base, self.tip or robot.tip
+            return Robot.from_urdf(robot.urdf, base, tip, held=self.held, coupling=self.coupling)
+
+        nominal = chain(source.nominal or source.robot)
+        return replace(source, robot=chain(source.robot), nominal=nominal)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source(Value):
@@ -138,8 +154,8 @@ class Source(Value):
     robot: Robot
     #: The nominal robot; None: not known.
     nominal: Robot | None
-    #: The arm of Universal Robots that it is; None: one of another maker.
-    model: UrModel | None = None
+    #: The arm that it is; None: none that calib knows.
+    model: UrModel | ArmModel | None = None
     #: The name that Universal Robots' ROS driver gives a calibration; None: the file has none.
     hash: str | None = None
     #: The file's own content, for the writer of the same format; None: none is kept.

@@ -17,15 +17,20 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import yaml
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.files import read_bytes
-from calib.basics.units import NUMBER
 from calib.errors import FileError, choices
 from calib.robot.ur_models import COLUMNS, LINKS
 from calib.verbs.convert.format import parse_yaml
+from calib.verbs.convert.kinematics_tables import (
+    POSE_KEYS,
+    find_table,
+    pose_entry,
+    pose_of,
+    robot_number,
+)
 
 PathLike = str | os.PathLike[str]
 
@@ -38,17 +43,11 @@ _LARGEST_DELTA = dict(zip(_DELTAS, (8.0 * np.pi, 10.0, 1e9, 0.5), strict=True))
 #: Largest nominal numbers of an arm in metres and radians [rad], [m].
 _LARGEST_NOMINAL = dict(zip(COLUMNS, (2.0 * np.pi, 10.0, 10.0, 2.0 * np.pi), strict=True))
 
-#: The numbers of a link in a kinematics.yaml, and the largest of each on an arm [m], [rad].
-_LARGEST = dict.fromkeys("xyz", 10.0) | dict.fromkeys(("roll", "pitch", "yaw"), 4.0 * np.pi)
-
 #: The ``calibration_status`` of deltas that the controller uses.
 LINEARISED = "2"
 
 #: Longest text of a file that a message quotes.
 _QUOTED = 40
-
-#: A number, or a difference from the number that it replaces, below this is rounding [m and rad].
-_ROUNDING = 1e-12
 
 #: Pattern of a hash.
 _HASH = re.compile(r"[\w.+-]+")
@@ -177,46 +176,39 @@ class KinematicsYaml(NamedTuple):
     hash: str | None
 
     @classmethod
-    def read(cls, path: PathLike, data: bytes | None = None) -> KinematicsYaml:
-        """Read a ``kinematics.yaml``.
+    def read(
+        cls, path: PathLike, data: bytes | None = None, section: str | None = None
+    ) -> KinematicsYaml:
+        """Read a ``kinematics.yaml``, or the dump of parameters that have the same table.
 
         Args:
             path: The file, for messages if ``data`` is given.
             data: The bytes of a file that is not written yet; None: they are read from ``path``.
+            section: Which of several robots, see `find_table`; None: the file has one.
 
         Returns:
             Its numbers as they are in the file, and the hash.
 
         Raises:
-            FileError: The file cannot be read, or lacks these numbers.
+            FileError: The file cannot be read, lacks these numbers, or has those of several robots.
         """
         content = read_bytes(path, _YAML) if data is None else data
-        links = parse_yaml(content, str(path), _YAML).get("kinematics")
-        if not isinstance(links, dict):
-            links = {}
-        numbers = []
+        table = find_table(path, parse_yaml(content, str(path), _YAML), section)
         for link in LINKS:
-            values = links.get(link)
-            if not isinstance(values, dict) or not _LARGEST.keys() <= values.keys():
+            if table is None or not table.has(link):
                 raise FileError(
-                    f"{path}: under 'kinematics' there is no '{link}' with {choices(_LARGEST)}; a "
+                    f"{path}: under 'kinematics' there is no '{link}' with {choices(POSE_KEYS)}; a "
                     f"kinematics.yaml has {choices(LINKS)}."
                 )
-            row = []
-            for key, largest in _LARGEST.items():
-                row.append(robot_number(f"{path}: {key} of '{link}'", str(values[key]), largest))
-            numbers.append(row)
-        hash = links.get("hash")
+        assert table is not None  # LINKS is not empty
+        hash = table.entries.get("hash")
+        numbers = [table.numbers(path, link) for link in LINKS]
         return cls(read_only(numbers), str(hash) if hash else None)
 
     @property
     def chain(self) -> Array:
         """Placements of the six joints and of the flange, shape (7, 4, 4) [m]; that of the flange is the identity."""
-        chain = np.tile(np.eye(4), (7, 1, 1))
-        for (*xyz, roll, pitch, yaw), T in zip(self.numbers, chain, strict=False):
-            T[:3, :3] = pin.rpy.rpyToMatrix(roll, pitch, yaw)
-            T[:3, 3] = xyz
-        return read_only(chain)
+        return read_only([*map(pose_of, self.numbers), np.eye(4)])
 
 
 def kinematics_bytes(chain: Array, hash: str, like: KinematicsYaml | None = None) -> bytes:
@@ -243,38 +235,7 @@ def kinematics_bytes(chain: Array, hash: str, like: KinematicsYaml | None = None
         )
     table: dict[str, object] = {}
     for i, (link, T) in enumerate(zip(LINKS, chain, strict=False)):
-        values = np.array([*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3])])
-        values = np.where(np.abs(values) < _ROUNDING, 0.0, values)
-        if like is not None:
-            is_same = np.abs(values - like.numbers[i]) < _ROUNDING
-            values = np.where(is_same, like.numbers[i], values)
-        table[link] = dict(zip(_LARGEST, values.tolist(), strict=True))
+        table[link] = pose_entry(T, None if like is None else like.numbers[i])
     table["hash"] = hash
     text = yaml.safe_dump({"kinematics": table}, sort_keys=False)
     return f"# Lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).\n{text}".encode()
-
-
-# Both
-
-
-def robot_number(where: str, word: str, largest: float) -> float:
-    """Read a number of a robot's file.
-
-    Args:
-        where: File and key, for the message.
-        word: The number as written.
-        largest: Its largest absolute value in metres or radians.
-
-    Returns:
-        The number [m or rad].
-
-    Raises:
-        FileError: It is not a number, or too large for metres or radians.
-    """
-    number = float(word) if NUMBER.fullmatch(word) else np.inf
-    if not abs(number) <= largest:
-        raise FileError(
-            f"{where}: '{word[:_QUOTED]}' is not a number up to {largest:.4g}. Lengths are in metres, "
-            "angles in radians."
-        )
-    return number

@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +101,7 @@ def read_ur(
     urcontrol: PathLike | None = None,
     model: UrModel | str | None = None,
     robot: Robot | None = None,
+    section: str | None = None,
 ) -> Source:
     """Read the arm that a ``calibration.conf`` or a ``kinematics.yaml`` describes.
 
@@ -113,6 +113,7 @@ def read_ur(
         urcontrol: The controller's file with the arm's nominal rows; None: they are those of the robot or the model.
         model: The arm or its name, ``"UR5e"``; None: the robot's.
         robot: The nominal robot whose URDF is corrected; None: a bare one of the arm.
+        section: Which of several arms a ``kinematics.yaml`` or a dump of parameters has, see `find_table`.
 
     Returns:
         The robot and its nominal robot.
@@ -136,7 +137,7 @@ def read_ur(
         arm = the_mount(robot, arm).model
     if Path(path).suffix.lower() == ".conf":
         return _read_conf(path, arm, robot, is_certain=urcontrol is not None)
-    file = KinematicsYaml.read(path)
+    file = KinematicsYaml.read(path, section=section)
     if arm is None:
         arm = min(MODELS, key=lambda known: distance_from(file.chain, known))
     nominal = ur_robot(arm) if robot is None else robot
@@ -162,7 +163,7 @@ def _read_conf(
     if arm is None:
         raise ModelError(
             f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say which arm it is for, "
-            "as in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
+            "as in --arm UR5e, or give its --urcontrol, or its nominal URDF as --robot."
         )
     nominal = ur_robot(arm) if robot is None else robot
     moved = _checked_distance(path, arm, chain_of)
@@ -212,7 +213,7 @@ def _checked_distance(path: PathLike, arm: UrModel, chain_of: ChainOf) -> float:
         raise FileError(
             f"{path} moves the flange of a {arm.name} by up to {1e3 * moved:.0f} mm, and that of "
             f"{choices(fitting)} by {1e3 * least:.0f} mm; a calibration moves it by millimetres. "
-            "Give the right --ur-model, --urcontrol or URDF, and numbers in metres and radians."
+            "Give the right --arm, --urcontrol or URDF, and numbers in metres and radians."
         )
     return moved
 
@@ -299,10 +300,10 @@ def _chain_of(source: Source, path: PathLike) -> tuple[Mount, Array]:
 
     It raises `ModelError` if the nominal robot is not a known arm, and `FileError` for too large a correction.
     """
-    if source.nominal is None or source.model is None:
+    if source.nominal is None or not isinstance(source.model, UrModel):
         raise ModelError(
             f"{path}: this format is for arms of Universal Robots, and the nominal robot is not a known one. "
-            "Name the arm with --ur-model, or give its nominal URDF as --robot."
+            "Name the arm with --arm, or give its nominal URDF as --robot."
         )
     mount = the_mount(source.nominal, source.model)
     check_same_joints(source.robot, source.nominal)
@@ -380,7 +381,7 @@ _FLANGE_DISPLACED = (
 )
 
 
-def _displaced(code: str, sentence: str, T: Array) -> Notes:
+def displaced(code: str, sentence: str, T: Array) -> Notes:
     """Return a note on a displacement T, (4, 4) [m]: three lengths [m] and a rotation vector [rad]; none if it is 0."""
     vector = np.round([*T[:3, 3], *pin.log3(T[:3, :3])], _NOTE_DECIMALS) + 0.0
     return (Note(code, sentence, tuple(vector.tolist())),) if np.any(vector) else ()
@@ -392,7 +393,10 @@ def _write_yaml(source: Source, path: Path, options: Options) -> Notes:
     like = None
     notes: Notes = ()
     if options.hash_from is not None:
-        own_file = read_ur(options.hash_from, urcontrol=options.urcontrol, model=source.model)
+        model = source.model if isinstance(source.model, UrModel) else None
+        own_file = read_ur(
+            options.hash_from, urcontrol=options.urcontrol, model=model, section=options.section
+        )
         hash = own_file.hash
         like = own_file.content if isinstance(own_file.content, KinematicsYaml) else None
         notes = own_file.notes
@@ -405,14 +409,14 @@ def _write_yaml(source: Source, path: Path, options: Options) -> Notes:
         )
     data, T_tool = kinematics_file(source, path, hash, like)
     write_atomically(path, data, overwrite=options.overwrite)
-    return notes + _displaced("flange displaced", _FLANGE_DISPLACED, T_tool)
+    return notes + displaced("flange displaced", _FLANGE_DISPLACED, T_tool)
 
 
 def _launch(conversion: Conversion) -> str:
     """Return the command that starts the ROS driver with the file, in lines of its own, to be copied."""
     model = conversion.source.model
     ur_type = "TYPE"
-    if model is not None and model.known:
+    if isinstance(model, UrModel) and model.known:
         ur_type = model.plain
     path = shlex.quote(str(conversion.path))
     if not conversion.path.is_absolute():
@@ -440,8 +444,8 @@ def _write_conf(source: Source, path: Path, options: Options) -> Notes:
             "The file has the deltas alone, without {0}; --update keeps the other lines of a file."
         )
         notes = (Note("other lines left out", sentence, (choices(source.content.others),)),)
-    notes += _displaced("base displaced", _BASE_DISPLACED, T_base)
-    return notes + _displaced("flange displaced", _FLANGE_DISPLACED, T_tool)
+    notes += displaced("base displaced", _BASE_DISPLACED, T_base)
+    return notes + displaced("flange displaced", _FLANGE_DISPLACED, T_tool)
 
 
 def _read(source: str, options: Options) -> Source:
@@ -450,17 +454,14 @@ def _read(source: str, options: Options) -> Source:
     A bare one has base, tip and held joints of the options.
     """
     given = None if options.robot is None else options.load(options.robot)
-    result = read_ur(source, urcontrol=options.urcontrol, model=options.ur_model, robot=given)
-    has_chain = options.base or options.tip or options.held
-    if given is not None or not has_chain:
-        return result
-
-    def on_chain(robot: Robot) -> Robot:
-        base, tip = options.base or robot.base, options.tip or robot.tip
-        return Robot.from_urdf(robot.urdf, base, tip, held=options.held, coupling=options.coupling)
-
-    nominal = on_chain(result.nominal or result.robot)
-    return replace(result, robot=on_chain(result.robot), nominal=nominal)
+    result = read_ur(
+        source,
+        urcontrol=options.urcontrol,
+        model=options.arm,
+        robot=given,
+        section=options.section,
+    )
+    return result if given is not None else options.on_chain(result)
 
 
 FORMATS = {

@@ -11,12 +11,14 @@ from calib.data.inputs import RobotInput, chain_of
 from calib.errors import CalibError, ModelError
 from calib.result.calibration import Calibration, check_same_joints, is_corrected
 from calib.result.calibration_file import read_result
+from calib.robot.arm_models import ArmModel, find_arm
 from calib.robot.coupled_readings import coupling_lines
 from calib.robot.ranges import random_joint_values
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
-from calib.robot.ur_models import UrModel, ur_model
+from calib.robot.ur_models import UrModel
 from calib.verbs.convert.format import Format, Note, Notes, Options, Source, SourceKind
+from calib.verbs.convert.joint_arms import arm_robot, check_arm, is_nominal, known_arm
 from calib.verbs.convert.ur_arms import Mount, the_mount, ur_robot
 
 
@@ -75,7 +77,7 @@ def robot_source(given: RobotInput, options: Options) -> Source:
 
     Args:
         given: The robot, the path of its file, or its name.
-        options: The nominal robot, base and tip, and the arm of Universal Robots, if they are given. Without a nominal
+        options: The nominal robot, base and tip, and the name of the arm, if they are given. Without a nominal
             robot it is the bare arm that is named; a robot that is a known arm as on its data sheet is its own.
 
     Raises:
@@ -89,16 +91,18 @@ def robot_source(given: RobotInput, options: Options) -> Source:
         check_same_joints(robot, nominal)
     else:
         mount = _mount(robot)
-        if mount is not None and mount.nominal:
+        arm = None if options.arm is None else find_arm(options.arm)
+        if is_nominal(robot) if mount is None else mount.nominal:
             nominal = robot  # an arm with the kinematics of the data sheet is its own nominal robot
-        elif options.ur_model is not None:
-            nominal = ur_robot(options.ur_model).rebuilt(base=robot.base, tip=robot.tip)
-    model = None if nominal is None else arm_of(nominal, options)
+        elif arm is not None:
+            bare = ur_robot(arm) if isinstance(arm, UrModel) else arm_robot(arm)
+            nominal = bare.rebuilt(base=robot.base, tip=robot.tip)
+    model = known_arm(robot) if nominal is None else arm_of(nominal, options)
     return Source("robot", robot, nominal, model=model)
 
 
-def arm_of(nominal: Robot, options: Options) -> UrModel | None:
-    """Return the arm of Universal Robots that a nominal robot is; None if it is of another maker.
+def arm_of(nominal: Robot, options: Options) -> UrModel | ArmModel | None:
+    """Return the arm that a nominal robot is; None if it is none that calib knows.
 
     Args:
         nominal: The nominal robot.
@@ -107,10 +111,14 @@ def arm_of(nominal: Robot, options: Options) -> UrModel | None:
     Raises:
         ModelError: It is not the arm that the options name.
     """
-    if options.ur_model is not None:
-        return the_mount(nominal, ur_model(options.ur_model)).model
+    if options.arm is not None:
+        arm = find_arm(options.arm)
+        if isinstance(arm, UrModel):
+            return the_mount(nominal, arm).model
+        check_arm(nominal, arm)
+        return arm
     mount = _mount(nominal)
-    return None if mount is None else mount.model
+    return known_arm(nominal) if mount is None else mount.model
 
 
 def _mount(robot: Robot) -> Mount | None:

@@ -30,6 +30,6 @@ def write_forms(folder: Path) -> Path:
     found.robot.urdf.write(folder / "corrected.urdf")
     write_deltas(folder / "calibration.conf", rows(UR3["delta"]))
     convert(str(folder / "result.json"), folder / "origins.yaml", to="origins")
-    ur3 = Options(ur_model="UR3")
+    ur3 = Options(arm="UR3")
     convert(str(folder / "calibration.conf"), folder / "kinematics.yaml", options=ur3)
     return folder

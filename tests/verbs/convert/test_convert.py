@@ -49,7 +49,7 @@ def shop(tmp_path_factory) -> Path:
 
 OPTIONS = {
     "result.json": Options(),
-    "calibration.conf": Options(ur_model="UR3"),
+    "calibration.conf": Options(arm="UR3"),
     "kinematics.yaml": Options(),
     "origins.yaml": replace(CHAIN, robot=URDF),
     "corrected.urdf": replace(CHAIN, robot=URDF),
@@ -157,7 +157,7 @@ def test_files_of_universal_robots(source, shop, tmp_path):
 def test_factory_calibrations_against_their_own_rows(case, tmp_path):
     conf = write_deltas(tmp_path / "own.conf", rows(case["delta"]))
     conf.write_text(conf.read_text() + "joint_checksum = [ 0x1, 0x2]\ncalibration_status = 2\n")
-    arm = Options(ur_model=case["robot"])
+    arm = Options(arm=case["robot"])
     source = read_source(str(conf), arm)
     assert source.hash == case["driver_hash"]
     # The deltas alone do not tell a UR3 from a UR3e, nor a UR10e from a UR10.
@@ -187,11 +187,11 @@ def test_a_calibration_of_the_ends_alone_is_not_lost(tmp_path):
     ends = np.zeros((6, 4))
     ends[0, 0], ends[5, 0], ends[0, 2], ends[5, 2] = 0.01, 0.02, 1e-3, 2e-3
     conf = write_deltas(tmp_path / "ends.conf", ends)
-    convert(str(conf), tmp_path / "mid.urdf", options=Options(ur_model="UR5e"))
+    convert(str(conf), tmp_path / "mid.urdf", options=Options(arm="UR5e"))
     wanted = chain_poses(chain_of_rows(ur_model("UR5e").rows + ends), Q)
     alone = read_source(str(tmp_path / "mid.urdf"), CHAIN)
     assert (alone.nominal, alone.model) == (None, None)
-    source = read_source(str(tmp_path / "mid.urdf"), replace(CHAIN, ur_model="UR5e"))
+    source = read_source(str(tmp_path / "mid.urdf"), replace(CHAIN, arm="UR5e"))
     assert write(source, tmp_path / "o.conf", "ur-conf") == ()
     np.testing.assert_allclose(deltas_of_conf(tmp_path / "o.conf"), ends, rtol=0, atol=1e-12)
     # A file of the arm's own on this URDF, which has it already, is not added to it.
@@ -283,6 +283,8 @@ ENDINGS = {
 }
 #: Written of results of images alone, which this is not.
 OF_IMAGES = {"camera-info", "opencv"}
+#: Written of arms with other joints.
+OF_OTHER_ARMS = {"ufactory-yaml", "flexiv-yaml"}
 TRACKER = CameraOptions(new_camera_frame="tracker")
 
 
@@ -300,7 +302,7 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", sorted(set(FORMATS) - OF_IMAGES))
+@pytest.mark.parametrize("name", sorted(set(FORMATS) - OF_IMAGES - OF_OTHER_ARMS))
 def test_no_format_is_written_of_what_is_not_to_be_used(verdicts: Path, tmp_path: Path, name: str):
     path = tmp_path / f"made{ENDINGS.get(name, '.csv')}"
     camera = TRACKER if FORMATS[name].of_camera else CameraOptions()
@@ -313,7 +315,7 @@ def test_no_format_is_written_of_what_is_not_to_be_used(verdicts: Path, tmp_path
     options = Options(
         to=name,
         hash_from=verdicts / "calibration.conf",
-        ur_model="UR3",
+        arm="UR3",
         camera=camera,
         robot=robot,
     )

@@ -15,7 +15,6 @@ from calib.verbs.convert.ur_files import (
     conf_bytes,
     kinematics_bytes,
     read_nominal,
-    robot_number,
 )
 from tests.verbs.convert.ur_cases import WITH_DELTAS, rows
 
@@ -97,10 +96,6 @@ def test_the_status_and_the_numbers(factory):
     assert Conf.read(factory).status == LINEARISED
     factory.write_text(CONF.replace("calibration_status = 2", "calibration_status = 1"))
     assert Conf.read(factory).status == "1"
-    assert robot_number("file: key", "-1e-3", 1.0) == -1e-3
-    for word in ("nan", "inf", "1_0", "", "1.001"):
-        with pytest.raises(FileError, match=r"file: key: '.*' is not a number up to 1"):
-            robot_number("file: key", word, 1.0)
 
 
 # kinematics.yaml

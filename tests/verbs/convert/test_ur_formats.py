@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 
 from calib.errors import FileError, ModelError
 from calib.robot.robot import Robot
 from calib.robot.ur_models import chain_of_rows, ur_model
+from calib.verbs.convert.convert import convert
 from calib.verbs.convert.format import Notes, Options, Source
 from calib.verbs.convert.ur_arms import chain_poses, kinematics_hash, the_mount, ur_robot
 from calib.verbs.convert.ur_files import KinematicsYaml, kinematics_bytes
@@ -128,6 +130,30 @@ def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of
     np.testing.assert_allclose(on_it.poses(Q), again.poses(Q), rtol=0, atol=1e-12)
     own = read_ur(conf_of(UR3), robot=factory.robot).robot
     np.testing.assert_allclose(own.poses(Q), factory.robot.poses(Q), rtol=0, atol=1e-12)
+
+
+def test_one_robot_of_a_dump_of_two(conf_of, tmp_path):
+    # As `rosparam dump` writes the parameters of two robots, whose drivers have names of their own.
+    own = read_ur(conf_of(UR3), model="UR3")
+    dump: dict[str, object] = {}
+    for arm, robot in (("alice", own.robot), ("bob", displaced(own.robot, 1e-4))):
+        path = tmp_path / f"{arm}.yaml"
+        write(of(robot, own.robot), path)
+        driver = {"kinematics": yaml.safe_load(path.read_text())["kinematics"], "use_tool": False}
+        dump[arm] = {"ur_hardware_interface": driver}
+    path = tmp_path / "dump.yaml"
+    path.write_text(yaml.safe_dump(dump))
+    for arm in ("alice", "bob"):
+        alone, of_dump = read_ur(tmp_path / f"{arm}.yaml"), read_ur(path, section=arm)
+        assert of_dump.hash == HASH
+        np.testing.assert_array_equal(of_dump.robot.poses(Q), alone.robot.poses(Q))
+    with pytest.raises(FileError, match="'alice/ur_hardware_interface', 'bob/ur_hard"):
+        read_ur(path)
+    # The hash of a robot is taken from its part of the dump.
+    done = convert(str(path), tmp_path / "k.yaml", options=Options(to="ur-yaml", section="bob"))
+    assert done.source.hash == HASH
+    again = KinematicsYaml.read(tmp_path / "k.yaml")
+    np.testing.assert_array_equal(again.numbers, KinematicsYaml.read(tmp_path / "bob.yaml").numbers)
 
 
 @pytest.mark.parametrize("angle", [2e-8, 1e-4])

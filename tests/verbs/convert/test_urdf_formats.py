@@ -51,7 +51,7 @@ def test_the_urdf_of_a_result(shop, tmp_path):
     [
         ("result.json", Options(tip="wrist_3_link"), CalibError, "leave out --base, --tip"),
         ("result.json", Options(robot="ur5"), ModelError, "joint origins are neither"),
-        ("corrected.urdf", Options(ur_model="UR3"), UrdfError, "no link 'world'"),
+        ("corrected.urdf", Options(arm="UR3"), UrdfError, "no link 'world'"),
         ("origins.yaml", Options(), CalibError, "give the URDF that they belong to"),
     ],
 )
