@@ -342,7 +342,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
     Returns:
         The tables of docs/result-json.md, in SI units, the unit in the suffix of each key.
     """
-    robot, urdf = c.nominal, c.nominal.urdf
+    robot, urdf, corrected = c.nominal, c.nominal.urdf, c.robot.urdf
     target_given = c.setup.target_given[0]
     errors = {}
     for name, sets in c.errors.items():
@@ -381,6 +381,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
             for part in robot.parts
         ],
         "inputs.measurements.rows": len(c.rows),
+        "outputs.urdf.sha256": corrected.sha256,
         "versions": versions(),
     }
     table = nested(derived | _LAYOUT.entries(c))
