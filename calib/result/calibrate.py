@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.basics.dates import date_text, now
 from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
+from calib.basics.dates import date_text, now
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
