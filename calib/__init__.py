@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.verbs.fleet.fleet import fleet as fleet
+    from calib.verbs.history.history import History as History, history as history
     from calib.verbs.inspect.inspection import inspect as inspect
     from calib.verbs.joints.joint_table import joints as joints
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
@@ -82,6 +83,7 @@ _NAMES = {
     "calib.verbs.inspect.inspection": "inspect",
     "calib.verbs.joints.joint_table": "joints",
     "calib.verbs.fleet.fleet": "fleet",
+    "calib.verbs.history.history": "History history",
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
     "calib.verbs.calibrate.uncertainty": "bootstrap",

@@ -28,6 +28,7 @@ VERBS = (
     "fleet",
     "evaluate",
     "compare",
+    "history",
     "compensate",
     "inspect",
     "base-frame",

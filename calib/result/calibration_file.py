@@ -65,6 +65,12 @@ from calib.version import __version__
 #: The layout of a result.
 SCHEMA = 7
 
+#: What a file of another schema should be, for messages.
+EXPECTED = (
+    f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
+    "result.json"
+)
+
 #: The key of the digests of all others; missing in files of earlier versions, as is `_RUN`.
 _CHECKSUMS = "checksums"
 
@@ -476,14 +482,9 @@ def read_result(path: str | Path) -> Calibration:
         FileError: It cannot be read, is not a result, of another schema, damaged, or was changed since calib wrote it.
         PluginError: It uses a family or a kind of a plugin that is not loaded.
     """
-    expected = (
-        f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
-        "result.json"
-    )
-    table = read_json(path, "calibration result", SCHEMA, expected)
+    table = read_json(path, "calibration result", SCHEMA, EXPECTED)
+    check_unchanged(table, f"{path}")
     checksums = table.pop(_CHECKSUMS, None)
-    if checksums is not None or _RUN in table:
-        _check_unchanged(table, checksums, f"{path}")
     try:
         plugins.check_registered(_registered_names(table), table.get("plugins", ()))
         result = _calibration(table, Path(path).parent)
@@ -500,11 +501,19 @@ def read_result(path: str | Path) -> Calibration:
     return result
 
 
-def _check_unchanged(table: Json, checksums: object, path: str) -> None:
-    """Refuse a table, without its checksums, that they are not those of, by a `FileError` that names what was changed.
+def check_unchanged(table: Json, path: str) -> None:
+    """Refuse the tables of a result that were changed after calib wrote them.
 
-    The path of the file is for messages.
+    Args:
+        table: The tables of the file; those of version 0.1.0, which have no checksums, are not checked.
+        path: The path of the file, for messages.
+
+    Raises:
+        FileError: They were; the message names the key.
     """
+    checksums = table.get(_CHECKSUMS)
+    if checksums is None and _RUN not in table:
+        return
     if not isinstance(checksums, dict):
         raise FileError(f"{path}: 'checksums' is missing. {_TAKE_THE_ORIGINAL}")
     stated = {key: entry for key, entry in table.items() if key in checksums}
