@@ -3,8 +3,8 @@
     python scripts/fleet_study.py --robots 100 --dates 5
 
 UR3s whose joint zeros err by 1.5 mrad and whose link lengths err by 0.2 mm are measured once a month by a tracker of
-0.05 mm noise a coordinate, 24 poses each time, and calibrated by `calib.fleet`. Some drift in one joint, one has a step,
-one is 12 mrad off in one joint, and files are damaged, copied, changed and without a serial number. Then
+0.05 mm noise a coordinate, 24 poses each time, and calibrated by `calib.fleet`. Some drift in one joint, one has a
+step, one is 12 mrad off in one joint, and files are damaged, copied, changed and without a serial number. Then
 `calib.history`, `calib.trend` and the fleet's outliers have to find these and nothing else. The true robot is
 Pinocchio's model with other placements of its joints: no error model of calib makes it.
 """
@@ -18,6 +18,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,7 @@ def measured(robot: int, date: int, fault: Planted | None) -> calib.Measurements
     model = pin.buildModelFromUrdf(str(paper_urdf()))
     of_robot = np.random.default_rng([2026, robot])
     zeros = ZERO * of_robot.normal(size=6)
-    for k in range(1, model.njoints):
+    for k in range(2, model.njoints):  # where the first joint stands in the base is for no DH row to say
         model.jointPlacements[k].translation += LENGTH * of_robot.normal(size=3)
     if fault is not None:
         zeros[fault.joint] += fault.zero(date)
@@ -174,7 +175,7 @@ def check_history(folder: Path, robots: int, dates: int, noted: Mapping[What, se
             expected.remove(date_of(1))
         found = [f"{entry.result.date:%Y-%m-%d}" for entry in entries]
         assert found == expected, (serial, found)
-        for entry, later in zip(entries, entries[1:], strict=False):
+        for entry, later in pairwise(entries):
             assert entry.end == "replaced"
             assert entry.until == later.result.date
         assert entries[-1].is_valid, serial

@@ -149,6 +149,9 @@ def notes(c: Comparison) -> tuple[str, ...]:
     robots = c.a.nominal.name, c.b.nominal.name
     if robots[0] != robots[1]:
         result.append(f"The URDFs name their robots '{robots[0]}' and '{robots[1]}'.")
+    serials = c.a.record.robot_serial, c.b.record.robot_serial
+    if all(serials) and serials[0] != serials[1]:
+        result.append(f"The records name two robots, of the serial numbers '{serials[0]}' and '{serials[1]}'.")
     if (c.only_a or c.only_b) and not c.why:
         result.append(f"The results estimate different errors: {_only(c)}.")
     if not unknown_frame(c.a) and not unknown_frame(c.b):

@@ -187,7 +187,7 @@ class History(Value):
         return entry
 
     def _meant(self, serial: str, which: str) -> tuple[Entry, str]:
-        """Return the calibration that a date or a hash means, and the hash of its URDF if that was given, else empty."""
+        """Return the calibration that a date or a hash means, and the hash of its URDF if that was given, else ``""``."""
         entries = self.of(serial)
         if parse_date(which) is not None:
             entry = self.valid_on(serial, which)
@@ -207,8 +207,8 @@ class History(Value):
             runs = choices((entry.result.run for entry in entries), limit=12)
             count = "several" if len(found) > 1 else "none"
             raise CalibError(
-                f"'{which}' is neither a date such as 2026-03-01 nor {_FEWEST_DIGITS} or more digits of a run or hash of "
-                f"one calibration of '{serial}' ({count} begin so). Its runs are {runs}."
+                f"'{which}' is neither a date such as 2026-03-01 nor {_FEWEST_DIGITS} or more digits of a run or hash "
+                f"of one calibration of '{serial}' ({count} begin so). Its runs are {runs}."
             )
         return next(iter(found.values()))
 

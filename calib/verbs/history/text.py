@@ -22,6 +22,13 @@ _MOST_NOTES = 12
 #: Digits of a run that are shown: enough to tell the calibrations of a robot apart, and to restore one.
 _RUN_DIGITS = 12
 
+#: Source of a date, where it is not the record of the measurement.
+_SOURCES = {
+    DateFrom.MEASURED: "",
+    DateFrom.CALIBRATED: " (calibrated)",
+    DateFrom.FILE: " (of the file)",
+}
+
 #: A sentence on the files of a note, with its files and its text.
 _SENTENCES = {
     What.DAMAGED: "{files} is left out: {text}",
@@ -89,8 +96,7 @@ def _calibrations(serial: str, entries: tuple[Entry, ...]) -> Iterator[Block]:
     yield Paragraph(f"{serial}: {plural(len(entries), 'calibration')}")
     columns = [
         name_column("run"),
-        Column("measured", left=True, gap=2),
-        Column("calibrated", left=True, gap=2),
+        Column("date", left=True, gap=2),
         Column("verdict", left=True, gap=2),
         Column("valid until", left=True, gap=2),
         Column("file", left=True, gap=2),
@@ -98,13 +104,10 @@ def _calibrations(serial: str, entries: tuple[Entry, ...]) -> Iterator[Block]:
     rows: list[Row] = []
     for entry in entries:
         result = entry.result
-        measured = _date(result.date) if result.date_from is DateFrom.MEASURED else "-"
-        calibrated = result.calibrated_on or "-"
-        if result.date_from is DateFrom.FILE:
-            calibrated = f"{_date(result.date)}?"
+        date = f"{_date(result.date)}{_SOURCES[result.date_from]}"
         run = result.run[:_RUN_DIGITS]
         verdict = result.verdict or "none"
-        rows.append((run, measured, calibrated, verdict, _until(entry), result.path))
+        rows.append((run, date, verdict, _until(entry), result.path))
     yield Table("run", columns, rows)
 
 
