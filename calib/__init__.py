@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from calib.verbs.base_frame.base_frame import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
+    from calib.verbs.compare.trend import RobotTrend as RobotTrend, trend as trend
     from calib.verbs.compensate.commands import Commands as Commands
     from calib.verbs.compensate.compensate import compensate as compensate
     from calib.verbs.compensate.robot_program import Program as Program
@@ -64,6 +65,7 @@ _NAMES = {
     "calib.result.calibration": "Calibration",
     "calib.result.calibrate": "calibrate",
     "calib.verbs.compare.comparison": "Comparison compare",
+    "calib.verbs.compare.trend": "RobotTrend trend",
     "calib.verbs.evaluate.evaluation": "Evaluation evaluate",
     "calib.boards.board": "Board",
     "calib.camera.camera": "Camera",

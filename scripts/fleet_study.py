@@ -18,6 +18,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,16 +26,21 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from studies import print_table, study_parser
+from studies import core_count, print_table, study_parser
 
 import calib
 from calib.basics.arrays import Array
+from calib.basics.dates import MONTH
 from calib.data.record import Record
 from calib.example import PAPER_TARGET, paper_urdf
+from calib.verbs.compare.joint_trend import Trend
 from calib.verbs.history.found_files import What
 
 #: Standard deviations of the robots' errors: of joint zeros [rad], of link lengths along each axis [m].
 ZERO, LENGTH = 1.5e-3, 0.2e-3
+
+#: The joints whose zeros are changed, by their numbers from 0.
+JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint")
 
 #: Noise of a coordinate [m].
 NOISE = 5e-5
@@ -92,7 +98,9 @@ def measured(robot: int, date: int, fault: Planted | None) -> calib.Measurements
     model = pin.buildModelFromUrdf(str(paper_urdf()))
     of_robot = np.random.default_rng([2026, robot])
     zeros = ZERO * of_robot.normal(size=6)
-    for k in range(2, model.njoints):  # where the first joint stands in the base is for no DH row to say
+    for k in range(
+        2, model.njoints
+    ):  # where the first joint stands in the base is for no DH row to say
         model.jointPlacements[k].translation += LENGTH * of_robot.normal(size=3)
     if fault is not None:
         zeros[fault.joint] += fault.zero(date)
@@ -206,9 +214,59 @@ def check_outliers(fleets: Sequence[Any], robots: int) -> list[str]:
     return others
 
 
-def trend_of(paths: Sequence[Path]) -> Any:
-    """Return the trend of the results of a robot."""
-    return calib.trend(paths)
+def found_trends(paths: Sequence[Path]) -> dict[str, Trend]:
+    """Return by joint what its zero does in the results of a robot, if it is not steady."""
+    trend = calib.trend(paths)
+    return {joint.joint: joint.trend for joint in trend.changed if joint.trend is not None}
+
+
+def check_trends(
+    history: calib.History, robots: int, dates: int, executor: Executor | None
+) -> tuple[list[list[str]], list[str]]:
+    """Check that planted drifts and steps are found, at the planted rate and height, on the planted joint.
+
+    Returns:
+        A row of each planted fault: robot, joint, planted and found; and the other robots that are not steady.
+    """
+    numbers = range(robots)
+    paths = [
+        [history.folder / entry.result.path for entry in history.of(serial_of(robot))]
+        for robot in numbers
+    ]
+    run = map if executor is None else executor.map
+    found = list(run(found_trends, paths))
+    faults = planted(robots)
+    rows, others = [], []
+    for robot, trends in zip(numbers, found, strict=True):
+        fault = faults.get(robot)
+        joint = JOINTS[fault.joint] if fault is not None and not fault.off else ""
+        others += [
+            f"{serial_of(robot)}: {name} {t.shape}" for name, t in trends.items() if name != joint
+        ]
+        if fault is None or not joint:
+            continue
+        trend = trends[joint]
+        if fault.rate:
+            days = np.array([date.toordinal() for date in map(_day, range(dates))])
+            slope = np.polyfit(days, np.arange(dates), 1)[0] * MONTH / 86_400.0
+            truth, value, std = fault.rate * slope, trend.rate, trend.rate_std
+            assert trend.shape == "drift", (robot, trend)
+            unit = "mrad a month"
+        else:
+            truth, value, std = fault.step, trend.step, trend.step_std
+            assert (trend.shape, trend.step_at) == ("step", fault.at), (robot, trend)
+            unit = "mrad"
+        assert abs(value - truth) < 4.0 * std, (robot, truth, trend)
+        words = f"{1e3 * value:+.3f} ± {1e3 * std:.3f} {unit}"
+        rows.append(
+            [serial_of(robot), f"{trend.shape} of {joint}", f"{1e3 * truth:+.3f} {unit}", words]
+        )
+    return rows, others
+
+
+def _day(date: int) -> datetime:
+    """Return a date as a day."""
+    return datetime.fromisoformat(date_of(date))
 
 
 def main() -> None:
@@ -217,7 +275,7 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=100)
     parser.add_argument("--dates", type=int, default=5)
     arguments = parser.parse_args()
-    workers = arguments.workers or 1
+    workers = arguments.workers or core_count()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         begun = time.perf_counter()
@@ -226,6 +284,10 @@ def main() -> None:
             made = time.perf_counter() - begun
             noted = spoil(folder, arguments.robots, arguments.dates)
             seconds = check_history(folder, arguments.robots, arguments.dates, noted)
+            begun = time.perf_counter()
+            history = calib.history(folder)
+            rows, unsteady = check_trends(history, arguments.robots, arguments.dates, executor)
+            followed = time.perf_counter() - begun
         others = check_outliers(fleets, arguments.robots)
     results = arguments.robots * arguments.dates
     print_table(
@@ -233,9 +295,13 @@ def main() -> None:
         [
             [f"{results} calibrations", f"{made:.0f} s"],
             [f"history of {results} results", f"{seconds:.1f} s"],
+            [f"trends of {arguments.robots} robots", f"{followed:.0f} s"],
+            ["others that are not steady", ", ".join(unsteady) or "none"],
             ["robots flagged besides the one that is off", ", ".join(others) or "none"],
         ],
     )
+    print()
+    print_table(("robot", "planted and found", "planted", "found"), rows)
 
 
 if __name__ == "__main__":

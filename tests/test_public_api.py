@@ -40,6 +40,7 @@ NAMES = [
     "Program",
     "Region",
     "Robot",
+    "RobotTrend",
     "Scenario",
     "TrackerNoise",
     "acceptance",
@@ -57,6 +58,7 @@ NAMES = [
     "joints",
     "plan",
     "simulate",
+    "trend",
     "view",
     "workspace",
 ]
@@ -106,7 +108,7 @@ def test_types_checkers_see_the_same_names():
 def test_the_functions_are_the_verbs_of_the_command_line():
     verbs = {name.replace("-", "_") for name in get_command(app).commands}
     functions = {name for name in NAMES if name.islower()}
-    assert verbs - {"demo", "fit", "board"} == functions - {"acceptance", "bootstrap"}
+    assert verbs - {"demo", "fit", "board"} == functions - {"acceptance", "bootstrap", "trend"}
 
 
 def test_every_registry_has_a_module_with_register():

@@ -24,8 +24,11 @@ from calib.basics.arrays import Array
 #: What a figure does over time; of two dates a drift and a step are the same, and it is called a change.
 Shape = Literal["steady", "drift", "step", "change", "unsteady"]
 
-#: A constant is refused below this p-value: of one robot in a hundred that is steady, shared among its joints.
+#: Probability that a robot is not called steady though it is; its joints, and the three tests of each, share it.
 LEVEL = 0.01
+
+#: A line, a step, and scatter about a constant.
+_TESTS = 3
 
 #: Fewest dates at which a drift differs from a step.
 _FEWEST = 3
@@ -58,7 +61,7 @@ def joint_trend(times: Array, values: Array, stds: Array, level: float = LEVEL) 
         times: K dates, ascending, shape (K,), in any unit.
         values: The figure at each, shape (K,).
         stds: Standard deviations, shape (K,), positive.
-        level: p-value below which the figure is not called steady.
+        level: Probability that the figure is not called steady though it is.
 
     Returns:
         The trend; steady with infinite standard deviations if all dates are the same.
@@ -86,11 +89,11 @@ def joint_trend(times: Array, values: Array, stds: Array, level: float = LEVEL) 
     _, residual, _ = _solved(one[:, None], values, weights)
     p_constant = float(chdtrc(count - 1, np.sum(weights * residual**2)))
     shape: Shape = "steady"
-    if p < level:
+    if p < level / _TESTS:
         shape = "drift" if p_line <= p_step else "step"
         if len(places) + 1 < _FEWEST:
             shape = "change"
-    elif p_constant < level:
+    elif p_constant < level / _TESTS:
         shape, p = "unsteady", p_constant
     return Trend(shape, p, rate, rate_std, step, step_std, at)
 

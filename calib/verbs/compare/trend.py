@@ -26,7 +26,7 @@ from calib.basics.arguments import check_number, check_path, check_type
 from calib.basics.arrays import Array, Mask
 from calib.basics.dates import MONTH, date_text, parse_date
 from calib.basics.values import Value, one_line, shown_by
-from calib.errors import ArgumentError, CalibError, choices
+from calib.errors import ArgumentError, CalibError
 from calib.model.kinematics import Kinematics
 from calib.model.parameter_sets import error_model
 from calib.result.calibration import Calibration
@@ -229,7 +229,9 @@ def trend(
         raise CalibError("A trend needs two results or more.")
     check_type("dates", dates, (list, tuple, type(None)), "a list of dates, or None")
     if dates is not None and len(dates) != len(results):
-        raise CalibError(f"There are {len(dates)} dates for {len(results)} results; give one for each.")
+        raise CalibError(
+            f"There are {len(dates)} dates for {len(results)} results; give one for each."
+        )
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0)
     given = []
@@ -313,7 +315,9 @@ def zero_changes(
     zeros = error_model(first.nominal, "zeros", target=False)
     place = (np.eye(4), first.setup.T_tip_target[0])
     nominal, twists = Kinematics(first.nominal, zeros, *place).twists(np.zeros(len(zeros)), q)
-    gauge = as_lengths(place_twists(nominal)[:, :, unknown_places(results, turns=turns)], turns=turns)
+    gauge = as_lengths(
+        place_twists(nominal)[:, :, unknown_places(results, turns=turns)], turns=turns
+    )
     explain = np.linalg.pinv(gauge, rcond=1e-9)
     effect = as_lengths(twists, turns=turns)
     remaining = effect - gauge @ (explain @ effect)
@@ -343,6 +347,8 @@ def _moved(T_before: Array, T_after: Array, *, turns: bool) -> Array:
     """Return the displacement of N poses along the base's axes as lengths, shape (N D,) [m]."""
     R = T_after[:, :3, :3] @ T_before[:, :3, :3].transpose(0, 2, 1)
     # Rotation vectors of small rotations: half the skew part.
-    angles = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    angles = np.stack(
+        [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1
+    )
     twists = np.hstack([T_after[:, :3, 3] - T_before[:, :3, 3], angles / 2.0])
     return as_lengths(twists[:, :, None], turns=turns)[:, 0]

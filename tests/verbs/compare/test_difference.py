@@ -12,16 +12,16 @@ from calib.verbs.compare.difference import (
     _ROOM,
     _WIDEST,
     Displacement,
-    common_ranges,
     _estimate,
     _own_steps,
     _OwnEffects,
     _same_parameters,
     _shared_precision,
-    unknown_places,
+    common_ranges,
     differences_of,
     own_names,
     unknown_frame,
+    unknown_places,
 )
 from tests.parts import with_part
 
