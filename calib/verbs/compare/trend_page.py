@@ -189,9 +189,8 @@ def _draw_zeros(t: RobotTrend) -> Figure:
         ax.set_ylabel(unit)
     for ax in axes[len(seen) :]:
         ax.set_visible(False)
-    for ax in axes[max(len(seen) - 2, 0) : len(seen)]:
+    for ax in axes[-2:]:
         ax.set_xlabel(f"months since {date_text(t.dates[0])[:10]}")
-        ax.tick_params(labelbottom=True)
     return figure
 
 

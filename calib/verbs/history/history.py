@@ -187,7 +187,7 @@ class History(Value):
         return entry
 
     def _meant(self, serial: str, which: str) -> tuple[Entry, str]:
-        """Return the calibration that a date or a hash means, and the hash of its URDF if that was given, else ``""``."""
+        """Return the calibration that a date or hash means, and the hash of its URDF if that was given, else ``""``."""
         entries = self.of(serial)
         if parse_date(which) is not None:
             entry = self.valid_on(serial, which)
