@@ -26,11 +26,12 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from studies import core_count, print_table, study_parser
+from studies import print_table, study_parser
 
 import calib
 from calib.basics.arrays import Array
 from calib.basics.dates import MONTH
+from calib.basics.jobs import core_count
 from calib.data.record import Record
 from calib.example import PAPER_TARGET, paper_urdf
 from calib.verbs.compare.joint_trend import Trend
@@ -41,6 +42,9 @@ ZERO, LENGTH = 1.5e-3, 0.2e-3
 
 #: The joints whose zeros are changed, by their numbers from 0.
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint")
+
+#: Position of the target in the tip [m].
+TARGET = np.array(PAPER_TARGET)
 
 #: Noise of a coordinate [m].
 NOISE = 5e-5
@@ -112,8 +116,8 @@ def measured(robot: int, date: int, fault: Planted | None) -> calib.Measurements
     for values in q:
         pin.framesForwardKinematics(model, data, values + zeros)
         T_base_tip = data.oMf[base].inverse() * data.oMf[tip]
-        points.append(T_base_tip.act(np.array(PAPER_TARGET)))
-    names = [name for name in model.names if name != "universe"]
+        points.append(T_base_tip.act(TARGET))
+    names = tuple(name for name in model.names if name != "universe")
     noisy: Array = np.array(points) + NOISE * rng.normal(size=(POSES, 3))
     return calib.Measurements(names, q, noisy)
 
@@ -129,7 +133,7 @@ def make_fleet(folder: Path, robots: int, dates: int, executor: Executor | None)
             tables[serial] = measured(robot, date, faults.get(robot))
             record = Record(robot_serial=serial, date=date_of(date))
             cells[serial] = calib.Cell(
-                base="base", tip="tool0", target=PAPER_TARGET, model="dh", record=record
+                base="base", tip="tool0", target=TARGET, model="dh", record=record
             )
         fleets.append(
             calib.fleet(

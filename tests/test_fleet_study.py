@@ -34,5 +34,5 @@ def test_the_true_robot_is_calibs_without_errors(monkeypatch, ur3):
     table = study.measured(0, 0, fault)
     assert table.joint_names == ur3.joint_names
     q = table.joints + 0.012 * np.eye(6)[2]
-    target = np.append(study.PAPER_TARGET, 1.0)
+    target = np.append(study.TARGET, 1.0)
     np.testing.assert_allclose(table.points, (ur3.poses(q) @ target)[:, :3], atol=1e-12)

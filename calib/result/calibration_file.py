@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeGuard
@@ -447,9 +447,9 @@ def write_result(
     return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
 
 
-def _checksums(table: Json) -> dict[str, str]:
+def _checksums(table: Json, digest_of: Callable[[Any], str] = digest) -> dict[str, str]:
     """Return the digest of each entry of a result's table by its key; `digest` says what counts."""
-    return {key: digest(entry)[:_CHECKSUM_DIGITS] for key, entry in table.items()}
+    return {key: digest_of(entry)[:_CHECKSUM_DIGITS] for key, entry in table.items()}
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -501,12 +501,13 @@ def read_result(path: str | Path) -> Calibration:
     return result
 
 
-def check_unchanged(table: Json, path: str) -> None:
+def check_unchanged(table: Json, path: str, digest_of: Callable[[Any], str] = digest) -> None:
     """Refuse the tables of a result that were changed after calib wrote them.
 
     Args:
         table: The tables of the file; those of version 0.1.0, which have no checksums, are not checked.
         path: The path of the file, for messages.
+        digest_of: `digest`, or `parsed_digest` of tables that were parsed for it.
 
     Raises:
         FileError: They were; the message names the key.
@@ -517,7 +518,7 @@ def check_unchanged(table: Json, path: str) -> None:
     if not isinstance(checksums, dict):
         raise FileError(f"{path}: 'checksums' is missing. {_TAKE_THE_ORIGINAL}")
     stated = {key: entry for key, entry in table.items() if key in checksums}
-    found = _checksums(stated)
+    found = _checksums(stated, digest_of)
     changed = [key for key, checksum in checksums.items() if found.get(key) != checksum]
     if changed:
         was = "was" if len(changed) == 1 else "were"

@@ -192,7 +192,7 @@ def scores(values: Array, stds: Array, floor: float, usual: Mask) -> Array:
     scale = np.fmax(np.fmax(spread, floor), stds) * np.sqrt(1.0 + 1.0 / others)
     deviation = shifted - mean
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(deviation == 0.0, 0.0, deviation / scale)
+        return np.asarray(np.where(deviation == 0.0, 0.0, deviation / scale))
 
 
 def usual_robots(
@@ -242,7 +242,7 @@ def _unusual_figures(rows: Sequence[FleetRow], counted: Mask) -> Iterator[FleetO
             usual = usual_robots(*compared, counted, len(shared), chance)
             bound = limit(int(usual.sum()), len(shared), chance)
             z = scores(*compared, usual)
-            mean = figure.shown(np.mean(figure.values[usual]))
+            mean = figure.shown(float(np.mean(figure.values[usual])))
             # One that is set aside is an outlier even where, beside the others so set aside, its |z| is below.
             unusual = ~usual & np.where(counted, np.isfinite(z), np.abs(z) > bound)
             for i in np.flatnonzero(unusual).tolist():

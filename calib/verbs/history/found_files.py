@@ -17,12 +17,15 @@ from typing import Any
 
 from calib.basics.dates import parse_date
 from calib.basics.files import read_bytes
-from calib.basics.json_files import Json, damage, parse_json
+from calib.basics.json_files import Json, damage, parse_json, parsed_digest
 from calib.errors import CalibError, FileError
 from calib.result.calibration_file import EXPECTED, SCHEMA, check_unchanged
 
 #: The comment of a corrected URDF that states its run, see `calib.robot.urdf.Urdf.with_comments`.
 _RUN = re.compile(rb"<!--\s*calib run: ([0-9a-f]{12})\s*-->")
+
+#: The beginning of another JSON file of calib, which need not be parsed.
+_OTHER = re.compile(rb'\s*\{\s*"schema"\s*:\s*"(?!evaluation )')
 
 #: Robots that an evaluation may judge, and that are not the calibrated one.
 _NOT_CALIBRATED = ("nominal",)
@@ -170,14 +173,16 @@ def find_files(folder: Path, *, by_folder: bool) -> FoundFiles:
                     urdfs.append(FoundUrdf(name, match[1].decode(), sha256))
                 continue
             data = read_bytes(path, "file")
-            table = parse_json(data, name)
+            if _OTHER.match(data):
+                continue
+            table = parse_json(data, name, whole=True)
             schema = table.get("schema") if isinstance(table, dict) else None
             if isinstance(schema, str) and schema.startswith("evaluation "):
                 checks.extend(_checks(table, path, name, notes))
             elif isinstance(schema, int) and "robot" in table:
                 if schema != SCHEMA:
                     raise FileError(f"its 'schema' is {schema}; {EXPECTED}")
-                check_unchanged(table, name)
+                check_unchanged(table, name, parsed_digest)
                 sha256 = hashlib.sha256(data).hexdigest()
                 results.append(_result(table, path, name, sha256, by_folder, notes))
         except CalibError as error:

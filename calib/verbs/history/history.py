@@ -26,6 +26,7 @@ from calib.errors import CalibError, VerdictError, choices, did_you_mean
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import read_result, write_table
 from calib.robot.urdf import Urdf
+from calib.show.verdict_text import do_not_use_text, refusal
 from calib.verbs.history.found_files import (
     FoundCheck,
     FoundFiles,
@@ -177,8 +178,7 @@ class History(Value):
         entry, sha256 = self._meant(serial, which)
         result = read_result(self.folder / entry.result.path)
         if entry.result.verdict == NO and not accept:
-            words = shown_by("show.verdict_text")
-            raise VerdictError(words.refusal(f"'{path}'", words.do_not_use_text(result.verdict)))
+            raise VerdictError(refusal(f"'{path}'", do_not_use_text(result.verdict)))
         urdf = result.checked_urdf()
         wanted = sha256 or entry.result.urdf_sha256
         if wanted and urdf.sha256 != wanted:
@@ -424,7 +424,7 @@ def _hashes(result: Calibration) -> set[str]:
         except CalibError:  # no frame has a pose, or another link has the name
             continue
         hashes.add(urdf.sha256)
-    verdict_against = shown_by("show.verdict_text").do_not_use_text(result.verdict)
+    verdict_against = do_not_use_text(result.verdict)
     if result.robot.parts:
         for own in result.robot.own_urdfs().values():
             described = own.with_comments(run=result.run, verdict=verdict_against)

@@ -51,7 +51,9 @@ def test_a_drift_is_found_on_its_joint_with_its_rate():
 @pytest.mark.parametrize("model", ["dh", "placement", "zeros"])
 def test_a_step_is_found_whatever_the_model(model):
     found = trend(visits(Planted(2, step=1.5e-3, at=2), 5, model))
-    assert [(joint.joint, joint.trend.shape) for joint in found.changed] == [("elbow_joint", "step")]
+    assert [(joint.joint, joint.trend.shape) for joint in found.changed] == [
+        ("elbow_joint", "step")
+    ]
     of_joint = found.joints[2].trend
     assert of_joint is not None
     assert of_joint.step_at == 2
@@ -86,7 +88,7 @@ def test_a_result_without_a_date_is_refused_unless_dates_are_given():
     with pytest.raises(CalibError, match=r"^1 states no date .* --dates"):
         trend(results)
     assert trend(results, ["2026-01-10", "2026-02-10"]).months[1] > 1.0
-    with pytest.raises(CalibError, match="'10.01.2026' is no date"):
+    with pytest.raises(CalibError, match=r"'10.01.2026' is no date"):
         trend(results, ["10.01.2026", "2026-02-10"])
     with pytest.raises(CalibError, match="1 dates for 2 results"):
         trend(results, ["2026-01-10"])

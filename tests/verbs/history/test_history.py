@@ -45,7 +45,7 @@ def test_a_calibration_is_valid_until_the_next_one(tmp_path):
     assert found.valid_on("A", "2026-02-28 23:59") is first
     with pytest.raises(CalibError, match="is no date"):
         found.valid_on("A", "01.03.2026")
-    with pytest.raises(CalibError, match="'C'.*'A', 'B'"):
+    with pytest.raises(CalibError, match=r"'C'.*'A', 'B'"):
         found.of("C")
 
 
@@ -123,7 +123,14 @@ def test_an_earlier_urdf_is_restored_byte_for_byte(tmp_path):
     sha256 = hashlib.sha256(written).hexdigest()
     file = hashlib.sha256((shelf / "2.json").read_bytes()).hexdigest()
     assert found.of("A")[1].result.urdf_sha256 == sha256
-    for which in ("2026-02-15", "2026-02-01", result(2).run, result(2).run[:6], sha256[:9], file[:8]):
+    for which in (
+        "2026-02-15",
+        "2026-02-01",
+        result(2).run,
+        result(2).run[:6],
+        sha256[:9],
+        file[:8],
+    ):
         entry = found.restore("A", which, tmp_path / "back.urdf", overwrite=True)
         assert entry.result.path == "2.json"
         assert (tmp_path / "back.urdf").read_bytes() == written
@@ -199,7 +206,10 @@ def test_two_results_of_one_date_are_said_and_the_later_calibrated_wins(tmp_path
     put(tmp_path, "1.json", result(1, date="2026-01-01", time="2026-01-03T00:00:00Z"))
     put(tmp_path, "2.json", result(2, date="2026-01-01", time="2026-01-02T00:00:00Z"))
     found = history(tmp_path)
-    assert [(e.result.path, e.is_valid) for e in found.of("A")] == [("2.json", False), ("1.json", True)]
+    assert [(e.result.path, e.is_valid) for e in found.of("A")] == [
+        ("2.json", False),
+        ("1.json", True),
+    ]
     assert noted(found, What.SAME_DATE) == [("2.json", "1.json")]
     assert found.valid_on("A", "2026-01-01").result.path == "1.json"
 
