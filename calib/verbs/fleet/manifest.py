@@ -112,7 +112,9 @@ def _load(
         source = os.path.join(folder, source)  # noqa: PTH118
     try:
         cell = options_of_row(cells, folder, cell_options).cell()
-        recorded = {entry: cells[name] for name, entry in RECORDED.items() if name in cells}
+        recorded: dict[str, Any] = {
+            entry: cells[name] for name, entry in RECORDED.items() if name in cells
+        }
         robot = FleetRobot.of_files(
             cells["name"],
             source,

@@ -211,8 +211,8 @@ def usual_robots(
     Returns:
         shape (n,); False for those that do not count, or have no value.
     """
-    rest = counted & np.isfinite(values)
-    usual = rest.copy()
+    rest = np.asarray(counted & np.isfinite(values))
+    usual: Mask = rest.copy()
     for _ in range(int(_MOST * rest.sum())):
         z = np.where(rest, np.abs(scores(values, stds, floor, rest)), -1.0)
         furthest = int(np.argmax(z))
