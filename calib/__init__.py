@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from calib.verbs.base_frame.base_frame import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
+    from calib.verbs.compare.trend import RobotTrend as RobotTrend, trend as trend
     from calib.verbs.compensate.commands import Commands as Commands
     from calib.verbs.compensate.compensate import compensate as compensate
     from calib.verbs.compensate.robot_program import Program as Program
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from calib.verbs.evaluate.acceptance import Acceptance as Acceptance, acceptance as acceptance
     from calib.verbs.evaluate.evaluation import Evaluation as Evaluation, evaluate as evaluate
     from calib.verbs.fleet.fleet import fleet as fleet
+    from calib.verbs.history.history import History as History, history as history
     from calib.verbs.inspect.inspection import inspect as inspect
     from calib.verbs.joints.joint_table import joints as joints
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
@@ -63,6 +65,7 @@ _NAMES = {
     "calib.result.calibration": "Calibration",
     "calib.result.calibrate": "calibrate",
     "calib.verbs.compare.comparison": "Comparison compare",
+    "calib.verbs.compare.trend": "RobotTrend trend",
     "calib.verbs.evaluate.evaluation": "Evaluation evaluate",
     "calib.boards.board": "Board",
     "calib.camera.camera": "Camera",
@@ -82,6 +85,7 @@ _NAMES = {
     "calib.verbs.inspect.inspection": "inspect",
     "calib.verbs.joints.joint_table": "joints",
     "calib.verbs.fleet.fleet": "fleet",
+    "calib.verbs.history.history": "History history",
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
     "calib.verbs.calibrate.uncertainty": "bootstrap",

@@ -40,6 +40,7 @@ VERBS = (
     "compensate",
     "view",
     "fleet",
+    "history",
 )
 
 #: Earlier names of verbs, kept for one release.

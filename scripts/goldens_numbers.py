@@ -22,6 +22,7 @@ IGNORED = {
     "sha256",
     "urdf_sha256",
     "seconds",
+    "time",
     "iterations",
     "evaluations",
     "message",

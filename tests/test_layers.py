@@ -45,6 +45,7 @@ VERBS: dict[str, set[str]] = {
     "detect": set(),
     "evaluate": {"detect"},
     "fleet": {"calibrate"},
+    "history": set(),
     "inspect": {"plan"},
     "joints": {"compensate"},
     "plan": {"compensate", "view", "workspace"},

@@ -33,12 +33,14 @@ NAMES = [
     "Comparison",
     "DHRow",
     "Evaluation",
+    "History",
     "Measurements",
     "Plan",
     "PlanRequest",
     "Program",
     "Region",
     "Robot",
+    "RobotTrend",
     "Scenario",
     "TrackerNoise",
     "acceptance",
@@ -51,10 +53,12 @@ NAMES = [
     "detect",
     "evaluate",
     "fleet",
+    "history",
     "inspect",
     "joints",
     "plan",
     "simulate",
+    "trend",
     "view",
     "workspace",
 ]
@@ -104,7 +108,7 @@ def test_types_checkers_see_the_same_names():
 def test_the_functions_are_the_verbs_of_the_command_line():
     verbs = {name.replace("-", "_") for name in get_command(app).commands}
     functions = {name for name in NAMES if name.islower()}
-    assert verbs - {"demo", "fit", "board"} == functions - {"acceptance", "bootstrap"}
+    assert verbs - {"demo", "fit", "board"} == functions - {"acceptance", "bootstrap", "trend"}
 
 
 def test_every_registry_has_a_module_with_register():

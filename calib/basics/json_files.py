@@ -57,21 +57,29 @@ def read_json(
     return table
 
 
-def parse_json(text: str | bytes, source: str, wanted: str = "") -> Any:  # noqa: ANN401  any JSON
+def parse_json(text: str | bytes, source: str, wanted: str = "", *, whole: bool = False) -> Any:  # noqa: ANN401  any JSON
     """Return the value that JSON states.
 
     Args:
         text: The JSON.
         source: The file that holds it, for messages.
         wanted: What should be there, for messages: a sentence after a blank.
+        whole: Whether numbers that are whole are integers, however they are written, as `parsed_digest` takes them.
 
     Raises:
         FileError: It is not JSON.
     """
     try:
-        return json.loads(text, parse_constant=_refuse_constant)
+        parse_float = _number if whole else None
+        return json.loads(text, parse_float=parse_float, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise FileError(f"{source}: this is not a JSON file: {error}.{wanted}") from error
+
+
+def _number(text: str) -> float:
+    """Return the number of a text with a point or an exponent; an integer if it is whole."""
+    value = float(text)
+    return int(value) if value.is_integer() else value
 
 
 def _refuse_constant(name: str) -> float:
@@ -116,7 +124,12 @@ def digest(value: Any) -> str:  # noqa: ANN401  any value
         >>> digest({"a": 1.0, "b": float("nan")}) == digest({"b": None, "a": 1})
         True
     """
-    text = json.dumps(_with_whole_numbers(plain(value)), sort_keys=True, separators=(",", ":"))
+    return parsed_digest(_with_whole_numbers(plain(value)))
+
+
+def parsed_digest(value: Any) -> str:  # noqa: ANN401  any JSON
+    """Return the `digest` of what `parse_json` returned with whole numbers, in a fraction of the time."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from calib.basics.arguments import check_callable, check_flags
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
+from calib.basics.dates import date_text, now
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
@@ -392,6 +393,7 @@ def _assemble(
             solver=task.solver if isinstance(task.solver, str) else task.solver.__name__,
             solution=estimate.solution,
             seconds=fits.seconds,
+            time=date_text(now()),
         ),
         optics=result_optics(fitted, all_rows, geometry),
         zeros=joint_zeros(fits, m.validation, cross_validated=of_geometry is not None),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeGuard
@@ -64,6 +64,12 @@ from calib.version import __version__
 
 #: The layout of a result.
 SCHEMA = 7
+
+#: What a file of another schema should be, for messages.
+EXPECTED = (
+    f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
+    "result.json"
+)
 
 #: The key of the digests of all others; missing in files of earlier versions, as is `_RUN`.
 _CHECKSUMS = "checksums"
@@ -342,7 +348,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
     Returns:
         The tables of docs/result-json.md, in SI units, the unit in the suffix of each key.
     """
-    robot, urdf = c.nominal, c.nominal.urdf
+    robot, urdf, corrected = c.nominal, c.nominal.urdf, c.robot.urdf
     target_given = c.setup.target_given[0]
     errors = {}
     for name, sets in c.errors.items():
@@ -381,6 +387,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
             for part in robot.parts
         ],
         "inputs.measurements.rows": len(c.rows),
+        "outputs.urdf.sha256": corrected.sha256,
         "versions": versions(),
     }
     table = nested(derived | _LAYOUT.entries(c))
@@ -440,9 +447,9 @@ def write_result(
     return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
 
 
-def _checksums(table: Json) -> dict[str, str]:
+def _checksums(table: Json, digest_of: Callable[[Any], str] = digest) -> dict[str, str]:
     """Return the digest of each entry of a result's table by its key; `digest` says what counts."""
-    return {key: digest(entry)[:_CHECKSUM_DIGITS] for key, entry in table.items()}
+    return {key: digest_of(entry)[:_CHECKSUM_DIGITS] for key, entry in table.items()}
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -475,14 +482,9 @@ def read_result(path: str | Path) -> Calibration:
         FileError: It cannot be read, is not a result, of another schema, damaged, or was changed since calib wrote it.
         PluginError: It uses a family or a kind of a plugin that is not loaded.
     """
-    expected = (
-        f"a result of calib {__version__} has {SCHEMA}. Results are written by calib calibrate ROBOT DATA --json "
-        "result.json"
-    )
-    table = read_json(path, "calibration result", SCHEMA, expected)
+    table = read_json(path, "calibration result", SCHEMA, EXPECTED)
+    check_unchanged(table, f"{path}")
     checksums = table.pop(_CHECKSUMS, None)
-    if checksums is not None or _RUN in table:
-        _check_unchanged(table, checksums, f"{path}")
     try:
         plugins.check_registered(_registered_names(table), table.get("plugins", ()))
         result = _calibration(table, Path(path).parent)
@@ -499,15 +501,24 @@ def read_result(path: str | Path) -> Calibration:
     return result
 
 
-def _check_unchanged(table: Json, checksums: object, path: str) -> None:
-    """Refuse a table, without its checksums, that they are not those of, by a `FileError` that names what was changed.
+def check_unchanged(table: Json, path: str, digest_of: Callable[[Any], str] = digest) -> None:
+    """Refuse the tables of a result that were changed after calib wrote them.
 
-    The path of the file is for messages.
+    Args:
+        table: The tables of the file; those of version 0.1.0, which have no checksums, are not checked.
+        path: The path of the file, for messages.
+        digest_of: `digest`, or `parsed_digest` of tables that were parsed for it.
+
+    Raises:
+        FileError: They were; the message names the key.
     """
+    checksums = table.get(_CHECKSUMS)
+    if checksums is None and _RUN not in table:
+        return
     if not isinstance(checksums, dict):
         raise FileError(f"{path}: 'checksums' is missing. {_TAKE_THE_ORIGINAL}")
     stated = {key: entry for key, entry in table.items() if key in checksums}
-    found = _checksums(stated)
+    found = _checksums(stated, digest_of)
     changed = [key for key, checksum in checksums.items() if found.get(key) != checksum]
     if changed:
         was = "was" if len(changed) == 1 else "were"

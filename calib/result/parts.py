@@ -240,6 +240,8 @@ class Method(Value):
     solution: Solution
     #: Time that choosing a model, registration and estimation took [s]; NaN if unknown
     seconds: float
+    #: When that was, see `calib.basics.dates`; empty if an earlier version wrote the file
+    time: str = ""
 
     def __post_init__(self) -> None:
         """Keep a read-only copy of the mapping."""

@@ -6,12 +6,12 @@ print and as an excerpt for notebooks. A section, or a block in it, may be for s
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
 from enum import Flag, auto
 from typing import TYPE_CHECKING
+
+from calib.basics.dates import now
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -174,11 +174,7 @@ class Section:
 
 def report_date() -> str:
     """Return the date and time of a page, UTC: that of the environment variable ``SOURCE_DATE_EPOCH``, or now."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    date = datetime.now(timezone.utc)
-    if epoch.isdecimal():
-        date = datetime.fromtimestamp(int(epoch), timezone.utc)
-    return f"{date:%Y-%m-%d %H:%M} UTC"
+    return f"{now():%Y-%m-%d %H:%M} UTC"
 
 
 @dataclass(frozen=True, slots=True)

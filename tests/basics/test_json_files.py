@@ -17,6 +17,8 @@ from calib.basics.json_files import (
     digest,
     json_bytes,
     nested,
+    parse_json,
+    parsed_digest,
     plain,
     read_json,
 )
@@ -194,3 +196,10 @@ def test_functions_of_a_type_come_first():
     table = layout.table(Part(1.0, Colour.RED))
     assert table["colour"] == 1
     assert layout.read(Part, table) == Part(1.0, Colour.RED)
+
+
+def test_the_digest_of_parsed_json_is_that_of_the_value():
+    value = {"b": [1.0, -0.0, 2.5e-7, 1e22, None, True], "a": {"x": -3.0, "ü": "1.0"}, "n": 12}
+    for text in (json_bytes(value), b'{"n": 1.2e1, "a": {"\\u00fc": "1.0", "x": -3}, "b": [1, 0, '
+                 b"0.00000025, 1e22, null, true]}"):  # fmt: skip
+        assert parsed_digest(parse_json(text, "a.json", whole=True)) == digest(value)

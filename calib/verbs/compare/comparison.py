@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calib.basics.arguments import check_path, check_type
+from calib.basics.arguments import check_number, check_path, check_type
 from calib.basics.values import Value, one_line, shown_by
 from calib.data.inputs import ROBOT, RobotInput, chain_of, robot_of
 from calib.diagnosis.reasons import NO
@@ -27,6 +27,12 @@ from calib.verbs.compare.drift import LEVEL, DriftTest
 Outcome = Literal["drift", "no drift shown", "cannot tell"]
 #: Why it cannot be said whether the robot drifted; empty if it can.
 Why = Literal["", "same data", "bad verdict", "nothing known", "other errors"]
+
+#: Whether a tolerance is kept, from the best to the worst.
+Kept = Literal["pass", "undecided", "fail"]
+
+#: Standard deviations that stand for the uncertainty of a displacement: 95 %.
+_FACTOR = 2.0
 
 #: The layout of `Comparison.table`; a word, so that it is not taken for a result.
 SCHEMA = "comparison 5"
@@ -69,6 +75,24 @@ class Comparison(Value):
     def results(self) -> tuple[tuple[str, str, Calibration], ...]:
         """Letter, name and value of each result."""
         return ("a", self.names[0], self.a), ("b", self.names[1], self.b)
+
+    def within(self, tolerance: float) -> Kept:
+        """Return whether the target moved by no more than a tolerance, over the joint values that both measured.
+
+        Args:
+            tolerance: The largest rms displacement that is allowed [m].
+
+        Returns:
+            ``"pass"`` or ``"fail"`` if the displacement, twice its standard deviation added or subtracted, is within or
+            beyond it; else, and if the comparison cannot tell, ``"undecided"``.
+        """
+        check_number("tolerance", tolerance, 0.0)
+        move = self.moves[0]
+        if self.outcome == "cannot tell":
+            return "undecided"
+        if move.moved + _FACTOR * move.std <= tolerance:
+            return "pass"
+        return "fail" if move.moved - _FACTOR * move.std > tolerance else "undecided"
 
     def _repr_html_(self) -> str:
         """A small table for notebooks: the answer, and both results."""

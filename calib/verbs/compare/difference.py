@@ -12,6 +12,7 @@ with measured orientations 3 of the rotation vector times the lever, all along t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -37,7 +38,7 @@ from calib.verbs.compare.drift import (
 Where = Literal["measured ranges", "joint limits"]
 
 #: Number of joint values over which displacements are averaged.
-_POSES = 200
+POSES = 200
 
 #: Common priors are no wider than this, in steps of 1 mm and 1 mrad: no arm errs by more.
 _WIDEST = 10.0
@@ -118,7 +119,7 @@ def differences_of(first: Calibration, second: Calibration, *, same_start: bool)
     """
     compensation = _Compensation.of(first, second, same_start=same_start)
     inside = compensation.inside
-    everywhere = _Predictions.of(first, second, spread_poses(first.nominal, _POSES))
+    everywhere = _Predictions.of(first, second, spread_poses(first.nominal, POSES))
     own_a = _OwnEffects.of(first, inside.effects[0], compensation)
     own_b = _OwnEffects.of(second, inside.effects[1], compensation)
 
@@ -135,7 +136,7 @@ def differences_of(first: Calibration, second: Calibration, *, same_start: bool)
         (effect_a, effect_b),
         compensation.estimates,
         compensation.joint,
-        _ROUNDING * np.sqrt(_POSES),
+        _ROUNDING * np.sqrt(POSES),
     )
     in_steps_a, in_steps_b = effect_a * own_a.steps, effect_b * own_b.steps
     return Differences(
@@ -155,17 +156,17 @@ def differences_of(first: Calibration, second: Calibration, *, same_start: bool)
 
 def own_names(result: Calibration) -> tuple[str, ...]:
     """Return the names of the robot's own parameters, in the order of x: those of frames and targets are left out."""
-    return tuple(result.model.names[k] for k in _own_indices(result))
+    return tuple(result.model.names[k] for k in own_indices(result))
 
 
-def _own_indices(result: Calibration) -> NDArray[np.int_]:
+def own_indices(result: Calibration) -> NDArray[np.int_]:
     """Return the indices of the robot's own parameters in x, ascending."""
     return np.flatnonzero(result.model.of_robot)
 
 
 def _own_steps(result: Calibration) -> Array:
     """Return a typical error of arms in each of the robot's own parameters: 1 mm, 1 mrad, or as its family declares."""
-    return steps([result.model.units[k] for k in _own_indices(result)])
+    return steps([result.model.units[k] for k in own_indices(result)])
 
 
 def _same_parameters(first: Calibration, second: Calibration) -> bool:
@@ -191,18 +192,18 @@ def unknown_frame(result: Calibration) -> tuple[str, ...]:
     return tuple(direction for direction in DIRECTIONS if direction in estimated)
 
 
-def _unknown_places(a: Calibration, b: Calibration, *, turns: bool) -> list[bool]:
-    """Return for each of the 12 columns of `_place_twists` whether either result had to estimate that motion.
+def unknown_places(results: Sequence[Calibration], *, turns: bool) -> list[bool]:
+    """Return for each of the 12 columns of `place_twists` whether any result had to estimate that motion.
 
-    A target's orientation is estimated only if orientations were measured for both (``turns``).
+    A target's orientation is estimated only if orientations were measured for all (``turns``).
     """
-    unknown = {*unknown_frame(a), *unknown_frame(b)}
-    target = a.setup.estimate_target or b.setup.estimate_target
+    unknown = {direction for result in results for direction in unknown_frame(result)}
+    target = any(result.setup.estimate_target for result in results)
     of_base = [direction in unknown for direction in DIRECTIONS]
     return of_base + [target] * 3 + [target and turns] * 3
 
 
-def _common_ranges(a: Array, b: Array) -> Array:
+def common_ranges(a: Array, b: Array) -> Array:
     """Return the range of each joint that both data cover, or the hull of both ranges if they are apart.
 
     Ranges are (m, 2), [rad] or [m]. A joint without fitted rows has NaN, or a range from infinity to minus infinity:
@@ -228,7 +229,7 @@ def _estimate(result: Calibration, other: Calibration) -> Estimate:
     with the diagonal precision P of the fit's priors and Q of the shared ones, of mean 0. Q differs from P for the
     robot's own parameters alone. Parameters at a bound are held there.
     """
-    precision, indices = _prior_precision(result), _own_indices(result)
+    precision, indices = prior_precision(result), own_indices(result)
     shared = _shared_precision(result, other)
     bounded = np.array([parameter.at_bound for parameter in result.parameters], dtype=bool)
     common = precision.copy()
@@ -257,24 +258,32 @@ def _shared_precision(result: Calibration, other: Calibration) -> Array:
     It is the lower precision of both results, or this result's if the other lacks the parameter; but never so high
     that it would leave no room for a drift, nor lower than what any arm errs by.
     """
-    precision, of_other = _prior_precision(result), _prior_precision(other)
+    precision, of_other = prior_precision(result), prior_precision(other)
     by_name = dict(zip(other.model.names, of_other, strict=True))
     step = _own_steps(result)
     shared = []
-    for k in _own_indices(result):
+    for k in own_indices(result):
         of_same_name = by_name.get(result.model.names[k], np.inf)
         shared.append(min(precision[k], of_same_name))
     lowest, highest = 1.0 / (_WIDEST * step) ** 2, 1.0 / (_ROOM * step) ** 2
     return np.asarray(np.clip(shared, lowest, highest))
 
 
-def _prior_precision(result: Calibration) -> Array:
+def prior_precision(result: Calibration) -> Array:
     """Return 1 / variance of the prior of each parameter in x, [1/unit^2]; 0 without prior."""
     prior_std = np.array([p.prior_std for p in result.parameters])
     return np.nan_to_num(prior_std**-2.0)
 
 
 # Predictions of both
+
+
+def own_kinematics(result: Calibration, other: Calibration) -> Kinematics:
+    """Return the nominal robot with its own parameters alone, and the first target of another result in the tip."""
+    others = np.delete(np.array(result.model.names), own_indices(result))
+    frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
+    targets = np.tile(other.setup.T_tip_target[0], (len(result.setup.targets), 1, 1))
+    return Kinematics(result.nominal, result.model.without(others), frames, targets)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,33 +307,28 @@ class _Predictions:
         turns = a.setup.rotation and b.setup.rotation
         poses, effects, slopes = [], [], []
         for result in (a, b):
-            x = result.geometry.x[_own_indices(result)]
-            # The robot with its own parameters alone, and the target of a at its place in the tip.
-            others = np.delete(np.array(result.model.names), _own_indices(result))
-            frames = np.tile(np.eye(4), (len(result.setup.groups), 1, 1))
-            targets = np.tile(a.setup.T_tip_target[0], (len(result.setup.targets), 1, 1))
-            own_model = result.model.without(others)
-            kinematics = Kinematics(result.nominal, own_model, frames, targets)
+            x = result.geometry.x[own_indices(result)]
+            kinematics = own_kinematics(result, a)
             # Effects at the nominal robot, from which both count: at the calibrated ones they would differ by terms of
             # second order, which would look like combinations that only one result has.
             nominal, effect = kinematics.twists(np.zeros(len(x)), q)
             calibrated, slope = kinematics.twists(x, q)
             poses.append((nominal, calibrated))
-            effects.append(_as_lengths(effect, turns=turns))
-            slopes.append(_as_lengths(slope, turns=turns))
+            effects.append(as_lengths(effect, turns=turns))
+            slopes.append(as_lengths(slope, turns=turns))
 
         (nominal_a, by_a), (_, by_b) = poses
         difference = by_b[:, :3, 3] - by_a[:, :3, 3]
         if turns:
             R_ab = Rotation.from_matrix(by_b[:, :3, :3] @ by_a[:, :3, :3].transpose(0, 2, 1))
             difference = np.hstack([difference, _LEVER * R_ab.as_rotvec()])
-        gauge = _place_twists(nominal_a)[:, :, _unknown_places(a, b, turns=turns)]
+        gauge = place_twists(nominal_a)[:, :, unknown_places((a, b), turns=turns)]
         return cls(
             turns=turns,
             difference=difference.ravel(),
             effects=(effects[0], effects[1]),
             slopes=(slopes[0], slopes[1]),
-            gauge=_as_lengths(gauge, turns=turns),
+            gauge=as_lengths(gauge, turns=turns),
         )
 
     @property
@@ -345,7 +349,7 @@ class _Predictions:
         return np.asarray(self.difference + slope_b @ b.shift - slope_a @ a.shift)
 
 
-def _place_twists(T_base_target: Array) -> Array:
+def place_twists(T_base_target: Array) -> Array:
     """Return the twists of the target, along the base's axes, by small motions of the base and of the target.
 
     For poses (N, 4, 4) they are (N, 6, 12), linear [m] then angular [rad]. Columns are a unit of x, y, z, rx, ry, rz of
@@ -360,7 +364,7 @@ def _place_twists(T_base_target: Array) -> Array:
     return twists
 
 
-def _as_lengths(twists: Array, *, turns: bool) -> Array:
+def as_lengths(twists: Array, *, turns: bool) -> Array:
     """Return twists (N, 6, k), linear then angular, as displacements (N D, k) [m], angles times the lever."""
     scaled = twists * np.repeat([1.0, _LEVER], 3)[:, None]
     coordinates = 6 if turns else 3
@@ -395,8 +399,8 @@ class _Compensation:
         # correlated.
         alike = same_start and _same_parameters(first, second)
         joint = joint_covariance(*estimates, alike=alike)
-        ranges = _common_ranges(first.rows.ranges, second.rows.ranges)
-        inside = _Predictions.of(first, second, spread_between(ranges, _POSES))
+        ranges = common_ranges(first.rows.ranges, second.rows.ranges)
+        inside = _Predictions.of(first, second, spread_between(ranges, POSES))
         to_motion = np.asarray(np.linalg.pinv(inside.gauge, rcond=1e-9), dtype=np.float64)
         motion = to_motion @ inside.difference_under(estimates)
         return cls(inside, estimates, joint, to_motion, motion)

@@ -13,7 +13,7 @@ from calib.show.as_text import page_text
 from calib.show.blocks import NOTEBOOK, TERMINAL, Block, Bullets, Facts, Page, Paragraph, Section
 from calib.show.lines import deg, mm
 from calib.show.words import before_and_after, chain_name, rms_text
-from calib.verbs.compare.comparison import Comparison
+from calib.verbs.compare.comparison import Comparison, Kept
 from calib.verbs.compare.difference import own_names, unknown_frame
 from calib.verbs.compare.drift import LEVEL
 from calib.version import __version__
@@ -123,6 +123,16 @@ def sentence(c: Comparison) -> str:
     return f"Cannot tell whether the robot drifted: {obstacle}"
 
 
+def kept_sentence(kept: Kept, tolerance: float) -> str:
+    """Say whether the target moved by no more than a tolerance [m] since the first result."""
+    limit = f"{mm(tolerance)} mm"
+    return {
+        "pass": f"Pass: since the first result the target has moved by no more than {limit} rms.",
+        "undecided": f"Undecided: that the target has moved by no more than {limit} rms is neither shown nor refuted.",
+        "fail": f"Fail: since the first result the target has moved by more than {limit} rms.",
+    }[kept]
+
+
 def _results_with(c: Comparison, use: str) -> str:
     """Name the results with this verdict, such as ``"do not use"``; empty if there are none."""
     names = [
@@ -149,6 +159,11 @@ def notes(c: Comparison) -> tuple[str, ...]:
     robots = c.a.nominal.name, c.b.nominal.name
     if robots[0] != robots[1]:
         result.append(f"The URDFs name their robots '{robots[0]}' and '{robots[1]}'.")
+    serials = c.a.record.robot_serial, c.b.record.robot_serial
+    if all(serials) and serials[0] != serials[1]:
+        result.append(
+            f"The records name two robots, of the serial numbers '{serials[0]}' and '{serials[1]}'."
+        )
     if (c.only_a or c.only_b) and not c.why:
         result.append(f"The results estimate different errors: {_only(c)}.")
     if not unknown_frame(c.a) and not unknown_frame(c.b):

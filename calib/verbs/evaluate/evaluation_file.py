@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from calib.basics.dates import date_text, now
 from calib.result.board_errors import board_table
 from calib.result.calibration_file import error_table, pose_table, versions
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
@@ -64,6 +65,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
         },
         "acceptance": accepted,
         "record": asdict(urdf.record),
+        "time": date_text(now()),
     }
 
 

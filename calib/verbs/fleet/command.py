@@ -34,11 +34,11 @@ Examples:
 
 The manifest has one row for each robot: its name, the robot (a URDF, a xacro, or a name such as ur3) and its data. It
 may have columns with the options of 'calib calibrate': cell, points, points_unit, base, tip, target, frame, model,
-kind, payload, hold, columns, orientation and joint_unit. Options on the command line apply to all robots; the manifest
-overrides them. Each robot gets a folder with corrected.urdf, result.json, report.html and summary.txt; fleet.csv and
-fleet.json compare them. A second run keeps what is finished and unchanged. The exit status is 1 if a robot failed;
-otherwise 3 if one got no corrected.urdf because its verdict is 'do not use'; --accept writes it anyway. See
-docs/fleet.md.
+kind, payload, hold, columns, orientation and joint_unit; and serial and date, for 'calib history'. Options on the
+command line apply to all robots; the manifest overrides them. Each robot gets a folder with corrected.urdf,
+result.json, report.html and summary.txt; fleet.csv and fleet.json compare them. A second run keeps what is finished and
+unchanged. The exit status is 1 if a robot failed; otherwise 3 if one got no corrected.urdf because its verdict is 'do
+not use'; --accept writes it anyway. See docs/fleet.md.
 """)
 def fleet(
     manifest: Annotated[

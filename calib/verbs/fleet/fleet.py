@@ -47,7 +47,7 @@ CSV = "fleet.csv"
 JSON = "fleet.json"
 
 #: Schema of ``fleet.json``.
-SCHEMA = "fleet 3"
+SCHEMA = "fleet 4"
 
 #: URDFs kept in memory while the robots are read: those of a fleet have few, and use them one after the other.
 _KEPT_URDFS = 8

@@ -34,8 +34,9 @@ WITHHELD = "withheld"
 #: State of a corrected URDF: written in spite of the verdict ``do not use``, which was accepted.
 ACCEPTED = "accepted"
 
-#: Attributes of `FleetRow` that are not columns of ``fleet.csv``, or not in their place: the message is the last one.
-_NOT_IN_CSV = ("message", "kind", "measured", "parameters")
+#: Attributes of `FleetRow` that are not columns of ``fleet.csv``, or not in their place: parameters and zeros have a
+#: column each after the others, and the message is the last one.
+_NOT_IN_CSV = ("message", "kind", "measured", "parameters", "zeros")
 
 #: Attributes of `FleetRow` with a number for each unit.
 _BY_UNIT = ("nominal_rms", "calibrated_rms", "unseen_rms", "held_out_rms", "sigma")
@@ -112,6 +113,22 @@ class FleetRow:
     measured: str = ""
     #: Those of the geometry, without those of frames
     parameters: tuple[FleetParameter, ...] = ()
+    #: The best joint zeros alone, whatever the model; none of a robot of which they could not be fitted
+    zeros: tuple[FleetParameter, ...] = ()
+    #: Serial number, as the cell's record says
+    serial: str = ""
+    #: When it was measured, as the cell's record says, else when it was calibrated
+    measured_on: str = ""
+    #: When it was calibrated, UTC
+    calibrated_on: str = ""
+    #: SHA-256 of the nominal URDF
+    robot_sha256: str = ""
+    #: SHA-256 of the table; empty if there was no file
+    data_sha256: str = ""
+    #: SHA-256 of ``corrected.urdf``; empty if none was written
+    urdf_sha256: str = ""
+    #: SHA-256 of ``result.json``
+    result_sha256: str = ""
 
     @classmethod
     def of(cls, name: str, calibration: Calibration, *, accept: bool = False) -> FleetRow:
@@ -152,7 +169,16 @@ class FleetRow:
                 std = math.nan
             compared.append(FleetParameter(estimated.name, estimated.unit, change, float(std)))
 
+        zeros = []
+        if calibration.zeros is not None:
+            of_zeros = calibration.zeros
+            names = [f"zero of {joint}" for joint in of_zeros.joints]
+            units = ["m" if j.type == "prismatic" else "rad" for j in calibration.nominal.inputs]
+            numbers = (of_zeros.delta.tolist(), of_zeros.std.tolist())
+            zeros = [FleetParameter(*zero) for zero in zip(names, units, *numbers, strict=True)]
+
         robot, measurements = calibration.nominal, calibration.fit.measurements
+        calibrated_on = calibration.method.time
         non_geometric = calibration.non_geometric
         return cls(
             name=name,
@@ -173,6 +199,12 @@ class FleetRow:
             data=measurements.source,
             measured=measured_hash(measurements),
             parameters=tuple(compared),
+            zeros=tuple(zeros),
+            serial=calibration.record.robot_serial,
+            measured_on=calibration.record.date or calibrated_on,
+            calibrated_on=calibrated_on,
+            robot_sha256=robot.urdf.sha256,
+            data_sha256=calibration.source.sha256,
         )
 
 
@@ -189,6 +221,7 @@ def fleet_csv(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) ->
     """Return the table for a spreadsheet: UTF-8, one line for each robot.
 
     Lengths are in mm, angles in mrad, image coordinates in px. Figures of a unit that no robot measured have no column.
+    Each parameter, and each joint zero, has a column with its change; it is empty where it is not determined.
 
     Args:
         rows: The robots.
@@ -207,6 +240,16 @@ def fleet_csv(rows: Sequence[FleetRow], reasons: Mapping[str, Sequence[str]]) ->
         elif name not in _NOT_IN_CSV:
             heads.append(name)
             columns.append(values)
+    for of_rows in ([row.parameters for row in rows], [row.zeros for row in rows]):
+        units_of = {p.name: p.unit for parameters in of_rows for p in parameters}
+        for name, unit in units_of.items():
+            shown, factor = _CSV_UNITS.get(unit, (unit, 1.0))
+            heads.append(f"{name} [{shown}]")
+            changes = [
+                {p.name: p.change for p in parameters if not math.isnan(p.std)}
+                for parameters in of_rows
+            ]
+            columns.append([_number_cell(change.get(name), factor) for change in changes])
     outliers = ["; ".join(reasons.get(row.name, ())) for row in rows]
     messages = [" ".join(row.message.split()) for row in rows]
     text = io.StringIO()

@@ -266,6 +266,8 @@ def calibrate_job(options: FleetOptions, job: FleetJob) -> tuple[FleetRow, dict[
                     command = f"{options.command}  # {row.name}"
                 write_report(calibration, folder / "report.html", command=command)
             files = {file.name: file.read_bytes() for file in folder.iterdir()}
+        hashes = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+        row = replace(row, urdf_sha256=hashes.get(URDF, ""), result_sha256=hashes["result.json"])
     except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
         return failed_row(job.name, error), {}
     return row, files

@@ -18,11 +18,15 @@ if TYPE_CHECKING:
 #: Columns that a manifest must have.
 NEEDED = ("name", "robot", "data")
 
+#: Columns that state an entry of the record of the measurement, over that of the cell file, and the entry.
+RECORDED = {"serial": "robot_serial", "date": "date"}
+
 
 def optional_columns() -> tuple[str, ...]:
     """Return the columns that a manifest may have: options of the cell and of the errors, and how the data are read."""
     of_cell = [parameter.name for parameter in ModelOptions.parameters()]
-    return (*of_cell, "points", "points_unit", *(f.name for f in fields(ColumnChoice)))
+    others = ("points", "points_unit", *RECORDED)
+    return (*of_cell, *others, *(f.name for f in fields(ColumnChoice)))
 
 
 def read_manifest(
@@ -107,11 +111,15 @@ def _load(
     if is_file and not source.startswith("~"):
         source = os.path.join(folder, source)  # noqa: PTH118
     try:
+        cell = options_of_row(cells, folder, cell_options).cell()
+        recorded: dict[str, Any] = {
+            entry: cells[name] for name, entry in RECORDED.items() if name in cells
+        }
         robot = FleetRobot.of_files(
             cells["name"],
             source,
             folder / cells["data"],
-            options_of_row(cells, folder, cell_options).cell(),
+            replace(cell, record=replace(cell.record, **recorded)),
             columns=columns.parsed(),
             points=folder / cells["points"] if has_points else None,
             points_unit=cells.get("points_unit", points_unit) if has_points else None,

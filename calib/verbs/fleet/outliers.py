@@ -1,19 +1,19 @@
 """Fleet outliers: robots whose figures differ from those of the other robots of their kind.
 
-A figure x of robot i is compared with those of all robots of its kind by
+A figure x of robot i is compared with those of the n others of its kind that are no outliers in it,
 
-    z_i = (x_i - median) / scale_i,   scale_i = max(1.4826 MAD, floor, std_i)
+    z_i = (x_i - mean) / (scale_i sqrt(1 + 1/n)),   scale_i = max(std of the others, floor, std_i)
 
-with the median absolute deviation MAD, which outliers hardly change, a floor below which differences do not matter, and
-the figure's own standard deviation if it has one. Errors and noise are compared by their logarithms. A robot is flagged
-if |z| exceeds a limit that, for normally distributed figures, only one of twenty fleets without outliers exceeds
-anywhere among its n robots and k figures:
+with a floor below which differences do not matter, and the figure's own standard deviation if it has one. Errors and
+noise are compared by their logarithms. Outliers are found by B. Rosner's test (Technometrics 25, 1983): the robot with
+the largest |z| among all is set aside, then that with the largest among the rest, and so on; all are outliers up to the
+last one whose |z| exceeds its limit
 
-    limit = quantile of Student's t with 0.41 n degrees of freedom at 1 - 0.05 / (2 n k)
+    limit = quantile of Student's t with n - 1 degrees of freedom at 1 - chance / (2 (n + 1) k)
 
-The degrees of freedom make up for the MAD's own scatter; 0.41 is just below what simulations of 5 to 500 robots gave.
-Half of the 0.05 is spent on the errors and the noise, the other half on the parameters. Robots with the same data are
-all compared, but count once in n, median and MAD.
+for k figures of each robot, so that only ``chance`` of the fleets without outliers have a flagged robot. A third of
+0.05 is spent on the errors and the noise, one on the parameters, one on the joint zeros alone, which every result has,
+whichever model it was fitted with. Robots with the same data are all compared, but count once.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ FEWEST = 5
 #: Probability that a fleet without outliers has a flagged robot.
 CHANCE = 0.05
 
-#: Degrees of freedom of a scale from a MAD, for each robot; see the module's text.
-_FREEDOM = 0.41
+#: Share of the robots that may be outliers in one figure: the others say what is usual.
+_MOST = 1.0 / 3.0
 
-#: Factor from the MAD of a normal distribution to its standard deviation.
-_STD_OF_MAD = 1.4826
+#: Errors and noise, parameters, joint zeros: each gets its part of `CHANCE`.
+_KINDS = 3
 
 #: Errors and noise that differ by less are alike (natural logarithm).
 _LOG_FLOOR = 0.05
@@ -68,9 +68,9 @@ class FleetOutlier:
     unit: str = ""
     #: The robot's figure
     value: float = math.nan
-    #: Median of the robots of its kind
+    #: Mean of the robots of its kind that are no outliers in it
     usual: float = math.nan
-    #: Deviation from the median, see the module's text
+    #: Deviation from that mean, see the module's text
     z: float = math.nan
     #: |z| beyond which a figure is flagged
     limit: float = math.nan
@@ -149,66 +149,111 @@ def fleet_outliers(
     return tuple(sorted(outliers, key=key)), tuple(notes)
 
 
-def limit(robots: int, figures: int, chance: float = CHANCE) -> float:
+def limit(others: int, figures: int, chance: float = CHANCE) -> float:
     """Return the |z| beyond which a figure is flagged; see the module's text.
 
     Args:
-        robots: Number n of robots that are compared.
+        others: Number n of robots that one is compared with.
         figures: Number k of figures of each robot.
-        chance: Probability that any of the n k figures is flagged in a fleet without outliers.
+        chance: Probability that any figure is flagged in a fleet without outliers.
 
     Returns:
         The limit.
 
     Example:
-        >>> [round(limit(n, 30), 1) for n in (5, 20, 200)]
-        [50.5, 7.2, 4.8]
+        >>> [round(limit(n - 1, 30), 1) for n in (5, 20, 200)]
+        [18.6, 5.6, 4.6]
     """
-    probability = 1.0 - chance / (2.0 * robots * figures)
-    return float(stdtrit(_FREEDOM * robots, probability))
+    probability = 1.0 - chance / (2.0 * (others + 1) * figures)
+    return float(stdtrit(others - 1, probability))
 
 
-def scores(values: Array, stds: Array, floor: float, counted: Mask) -> Array:
-    """Return the deviation z of each robot's value from the median, in units of its scale; see the module's text.
+def scores(values: Array, stds: Array, floor: float, usual: Mask) -> Array:
+    """Return the deviation z of each robot's value from the usual ones, in units of its scale; see the module's text.
 
     Args:
         values: Figures of n robots, shape (n,); NaN: the robot has none.
         stds: Their standard deviations, in the same unit, shape (n,); 0 or NaN: none.
         floor: Smallest scale, in the same unit.
-        counted: Robots that count in median and MAD, shape (n,).
+        usual: Robots whose values are usual, shape (n,), 3 or more of them; each is compared with the others of them.
 
     Returns:
-        z, shape (n,), positive above the median; NaN for robots without a value.
+        z, shape (n,), positive above the mean; NaN for robots without a value.
     """
-    deviations = values - np.nanmedian(values[counted])
-    mad = np.nanmedian(np.abs(deviations[counted]))
-    spread = np.fmax(_STD_OF_MAD * mad, floor)
-    scale = np.fmax(spread, stds)
+    kept = usual & np.isfinite(values)
+    inside = kept.astype(np.float64)
+    others = kept.sum() - inside
+    # Counted from a usual value, so that little is lost to rounding.
+    shifted = values - np.median(values[kept])
+    total, squares = np.sum(shifted[kept]), np.sum(shifted[kept] ** 2)
+    own = np.where(kept, shifted, 0.0)
+    mean = (total - own) / others
+    spread = np.sqrt(np.maximum(squares - own**2 - others * mean**2, 0.0) / (others - 1.0))
+    scale = np.fmax(np.fmax(spread, floor), stds) * np.sqrt(1.0 + 1.0 / others)
+    deviation = shifted - mean
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(deviations == 0.0, 0.0, deviations / scale)
+        return np.asarray(np.where(deviation == 0.0, 0.0, deviation / scale))
+
+
+def usual_robots(
+    values: Array, stds: Array, floor: float, counted: Mask, figures: int, chance: float
+) -> Mask:
+    """Return which robots are no outliers in a figure, by Rosner's test; see the module's text.
+
+    Args:
+        values: Figures of n robots, shape (n,); NaN: the robot has none.
+        stds: Their standard deviations, in the same unit, shape (n,); 0 or NaN: none.
+        floor: Smallest scale, in the same unit.
+        counted: Robots that count, shape (n,).
+        figures: Number k of figures of each robot.
+        chance: Probability that any figure is flagged in a fleet without outliers.
+
+    Returns:
+        shape (n,); False for those that do not count, or have no value.
+    """
+    rest = np.asarray(counted & np.isfinite(values))
+    usual: Mask = rest.copy()
+    for _ in range(int(_MOST * rest.sum())):
+        z = np.where(rest, np.abs(scores(values, stds, floor, rest)), -1.0)
+        furthest = int(np.argmax(z))
+        bound = limit(int(rest.sum()) - 1, figures, chance)
+        rest[furthest] = False
+        if z[furthest] > bound:
+            usual = rest.copy()
+    return usual
 
 
 def _unusual_figures(rows: Sequence[FleetRow], counted: Mask) -> Iterator[FleetOutlier]:
-    """Yield the outliers among the robots of one kind, of the errors and noise first, then of the parameters.
+    """Yield the outliers among the robots of one kind: of the errors and noise, of the parameters, of the joint zeros.
 
-    Robots that are not ``counted``, a mask (n,), are compared, but count neither in median and MAD nor in the limit.
+    Robots that are not ``counted``, a mask (n,), are compared, but do not say what is usual.
     """
-    for figures in (_error_figures(rows), _parameter_figures(rows)):
+    by_kind = (
+        _error_figures(rows),
+        _parameter_figures([row.parameters for row in rows]),
+        _parameter_figures([row.zeros for row in rows]),
+    )
+    chance = CHANCE / _KINDS
+    for figures in by_kind:
         # A figure is compared if enough robots have it.
         shared = [f for f in figures if np.isfinite(f.values[counted]).sum() >= FEWEST]
         for figure in shared:
-            bound = limit(int(counted.sum()), len(shared), 0.5 * CHANCE)
-            z = scores(figure.values, figure.stds, figure.floor, counted)
-            usual = figure.shown(np.nanmedian(figure.values[counted]))
-            for i in np.flatnonzero(np.abs(z) > bound).tolist():
+            compared = (figure.values, figure.stds, figure.floor)
+            usual = usual_robots(*compared, counted, len(shared), chance)
+            bound = limit(int(usual.sum()), len(shared), chance)
+            z = scores(*compared, usual)
+            mean = figure.shown(float(np.mean(figure.values[usual])))
+            # One that is set aside is an outlier even where, beside the others so set aside, its |z| is below.
+            unusual = ~usual & np.where(counted, np.isfinite(z), np.abs(z) > bound)
+            for i in np.flatnonzero(unusual).tolist():
                 value, score = figure.shown(figure.values[i]), float(z[i])
-                text = figure_text(figure.name, figure.unit, value, usual, score, bound)
+                text = figure_text(figure.name, figure.unit, value, mean, score, bound)
                 yield FleetOutlier(
                     name=rows[i].name,
                     figure=figure.name,
                     unit=figure.unit,
                     value=value,
-                    usual=usual,
+                    usual=mean,
                     z=score,
                     limit=bound,
                     text=text,
@@ -232,23 +277,23 @@ def _error_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
     return figures
 
 
-def _parameter_figures(rows: Sequence[FleetRow]) -> list[_Figure]:
+def _parameter_figures(of_robots: Sequence[Sequence[FleetParameter]]) -> list[_Figure]:
     """Return figures of the changes of parameters of n robots, one for each that any robot's measurements determine.
 
     Robots whose measurements do not determine it have NaN.
     """
     determined = []
-    for row in rows:
-        by_name = {p.name: p for p in row.parameters if not math.isnan(p.std)}
+    for parameters in of_robots:
+        by_name = {p.name: p for p in parameters if not math.isnan(p.std)}
         determined.append(by_name)
     units: dict[str, str] = {}
-    for parameters in determined:
-        for name, parameter in parameters.items():
+    for of_robot in determined:
+        for name, parameter in of_robot.items():
             units[name] = parameter.unit
     absent = FleetParameter("", "", math.nan, math.nan)
     figures = []
     for name, unit in units.items():
-        column = [parameters.get(name, absent) for parameters in determined]
+        column = [of_robot.get(name, absent) for of_robot in determined]
         changes = np.array([parameter.change for parameter in column])
         stds = np.array([parameter.std for parameter in column])
         floor = _FLOORS.get(unit, 0.0)

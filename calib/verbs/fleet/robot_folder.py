@@ -24,7 +24,7 @@ URDF = "corrected.urdf"
 MADE = "made.json"
 
 #: Schema of ``made.json``; counted up when the files of a robot change.
-SCHEMA = "fleet robot 6"
+SCHEMA = "fleet robot 7"
 
 
 @dataclass(frozen=True, slots=True)

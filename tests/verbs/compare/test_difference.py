@@ -12,16 +12,16 @@ from calib.verbs.compare.difference import (
     _ROOM,
     _WIDEST,
     Displacement,
-    _common_ranges,
     _estimate,
     _own_steps,
     _OwnEffects,
     _same_parameters,
     _shared_precision,
-    _unknown_places,
+    common_ranges,
     differences_of,
     own_names,
     unknown_frame,
+    unknown_places,
 )
 from tests.parts import with_part
 
@@ -52,12 +52,12 @@ def test_places_are_unknown_where_either_result_estimated_them(calibrated):
     )
     base_known, base_unknown = [False] * 6, [True] * 6
     position, both, neither = [True] * 3 + [False] * 3, [True] * 6, [False] * 6
-    assert _unknown_places(points, points, turns=False) == base_known + position
-    assert _unknown_places(points, points, turns=True) == base_known + both
-    assert _unknown_places(known, known, turns=True) == base_known + neither
+    assert unknown_places((points, points), turns=False) == base_known + position
+    assert unknown_places((points, points), turns=True) == base_known + both
+    assert unknown_places((known, known), turns=True) == base_known + neither
     for a, b in ((known, poses), (poses, known)):
-        assert _unknown_places(a, b, turns=True) == base_unknown + both
-        assert _unknown_places(a, b, turns=False) == base_unknown + position
+        assert unknown_places((a, b), turns=True) == base_unknown + both
+        assert unknown_places((a, b), turns=False) == base_unknown + position
 
 
 def test_a_displacement_without_its_noise():
@@ -150,7 +150,7 @@ def test_effects_along_a_basis_are_those_of_parameters_that_no_motion_compensate
 def test_ranges_that_only_touch_count_as_apart():
     a = np.array([[0.0, 1.0], [0.0, 2.0], [0.0, 1.0]])
     b = np.array([[1.0, 2.0], [1.0, 3.0], [2.0, 3.0]])
-    np.testing.assert_array_equal(_common_ranges(a, b), [[0.0, 2.0], [1.0, 2.0], [0.0, 3.0]])
+    np.testing.assert_array_equal(common_ranges(a, b), [[0.0, 2.0], [1.0, 2.0], [0.0, 3.0]])
 
 
 def test_parameters_are_the_same_by_name_ties_and_set(calibrated):

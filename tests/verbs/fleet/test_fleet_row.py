@@ -9,9 +9,11 @@ from dataclasses import replace
 
 import pytest
 
+from calib.basics.dates import parse_date
 from calib.basics.json_files import json_bytes
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.data.record import Record
 from calib.result.calibrate import calibrate
 from calib.verbs.fleet.fleet_row import (
     DONE,
@@ -70,6 +72,59 @@ def test_the_csv_table_is_in_mm_with_texts_and_empty_cells():
     assert (second["outlier"], second["sigma [mm]"]) == ("", "")
     assert second["message"] == "no rows, at all"
     assert {"kind", "measured", "parameters"}.isdisjoint(first)
+
+
+def test_the_csv_table_has_parameters_dates_and_hashes():
+    zeros = (
+        FleetParameter("zero of j1", "rad", -2e-3, 1e-4),
+        FleetParameter("zero of j2", "m", 1e-3, 1e-4),
+    )
+    own = replace(
+        ROW,
+        zeros=zeros,
+        serial="7",
+        measured_on="2026-03-01",
+        calibrated_on="2026-03-02T10:00:00Z",
+        robot_sha256="a",
+        data_sha256="b",
+        urdf_sha256="c",
+        result_sha256="d",
+    )
+    other = replace(ROW, name="SN-3", parameters=(FleetParameter("r", "1", 2.0, 0.1),))
+    first, second = csv.DictReader(fleet_csv([own, other], {}).decode().splitlines())
+    shown = {
+        "p [mm]": "0.3",
+        "q [mrad]": "",
+        "r [1]": "",
+        "zero of j1 [mrad]": "-2",
+        "zero of j2 [mm]": "1",
+    }
+    assert {name: first[name] for name in shown} == shown
+    assert (second["p [mm]"], second["r [1]"], second["zero of j1 [mrad]"]) == ("", "2", "")
+    assert (first["serial"], first["measured_on"], first["calibrated_on"]) == (
+        "7",
+        "2026-03-01",
+        "2026-03-02T10:00:00Z",
+    )
+    hashes = ("robot_sha256", "data_sha256", "urdf_sha256", "result_sha256")
+    assert [first[name] for name in hashes] == ["a", "b", "c", "d"]
+
+
+def test_a_row_has_the_dates_and_zeros_of_its_calibration(ur3, paper_table):
+    calibrations = [
+        calibrate(ur3, paper_table, cell=Cell(model="zeros", record=record), validate=False)
+        for record in (Record(robot_serial="7", date="2026-03-01"), Record())
+    ]
+    dated, undated = (FleetRow.of("r", one) for one in calibrations)
+    assert (dated.serial, dated.measured_on) == ("7", "2026-03-01")
+    assert (undated.serial, undated.measured_on) == ("", undated.calibrated_on)
+    assert parse_date(dated.calibrated_on) is not None
+    assert dated.robot_sha256 == ur3.urdf.sha256
+    zeros = calibrations[0].zeros
+    assert zeros is not None
+    assert [zero.name for zero in dated.zeros] == [f"zero of {joint}" for joint in ur3.joint_names]
+    assert [zero.change for zero in dated.zeros] == zeros.delta.tolist()
+    assert {zero.unit for zero in dated.zeros} == {"rad"}
 
 
 def test_a_scale_error_that_all_robots_share_hides_no_difference_between_them(ur3, paper_table):

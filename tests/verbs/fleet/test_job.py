@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pickle
 import re
@@ -41,7 +42,10 @@ def test_a_job_returns_the_row_and_the_files(tmp_path, ur3):
     assert (row.name, row.status) == ("arm-0", DONE)
     assert row.urdf == WRITTEN
     assert set(written) == {"corrected.urdf", "result.json", "summary.txt"}
+    for name, sha256 in (("corrected.urdf", row.urdf_sha256), ("result.json", row.result_sha256)):
+        assert hashlib.sha256(written[name]).hexdigest() == sha256
     table = json.loads(written["result.json"])
+    assert table["outputs"]["urdf"]["sha256"] == row.urdf_sha256
     assert table["noise"]["sigma"] == dict(row.sigma)
 
 

@@ -114,3 +114,20 @@ def test_a_manifest_that_is_none_is_refused(call, tmp_path: Path, header, rows, 
     assert said in done.err
     assert done.err.count("\n") == 1
     assert not (tmp_path / "r").exists()
+
+
+def test_serial_number_and_date_of_a_row_are_those_of_its_record(call, arms_shop: Path):
+    (arms_shop / "cell.toml").write_text('[record]\nrobot_serial = "cell"\noperator = "Ann"\n')
+    manifest(
+        arms_shop,
+        "first,robot.urdf,arm-0.csv,cell.toml,SN-1,2026-03-10",
+        "second,robot.urdf,arm-1.csv,cell.toml,,",
+        header="name,robot,data,cell,serial,date",
+    )
+    assert call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK).code == 0
+    rows = json.loads((arms_shop / "r" / "fleet.json").read_bytes())["robots"]
+    assert [row["serial"] for row in rows] == ["SN-1", "cell"]
+    assert rows[0]["measured_on"] == "2026-03-10"
+    assert rows[1]["measured_on"] == rows[1]["calibrated_on"]
+    record = json.loads((arms_shop / "r" / "first" / "result.json").read_bytes())["record"]
+    assert (record["robot_serial"], record["operator"]) == ("SN-1", "Ann")
