@@ -23,6 +23,7 @@ from calib.cli.verb import Verb
 #: verb's package is what it does in one line.
 VERBS = (
     "demo",
+    "bag",
     "detect",
     "calibrate",
     "fleet",

@@ -163,9 +163,7 @@ def _file_of(path: Path) -> Path:
             f"{path}: the folder is no bag; a rosbag 2 has the file {_METADATA}, and beside it .db3 or .mcap."
         )
     if not path.exists():
-        raise MeasurementError(
-            f"The bag '{path}' does not exist; check the name and the folder."
-        )
+        raise MeasurementError(f"The bag '{path}' does not exist; check the name and the folder.")
     if path.suffix.lower() not in ENDINGS:
         raise MeasurementError(
             f"{path}: a bag is a file {choices(ENDINGS)}, or the folder of a rosbag 2."

@@ -100,9 +100,7 @@ class NoLag(Value):
     code: str
 
 
-def find_lag(
-    joints: JointStream, points: PointStream, robot: Robot | None = None
-) -> Lag | NoLag:
+def find_lag(joints: JointStream, points: PointStream, robot: Robot | None = None) -> Lag | NoLag:
     """Estimate the lag of points behind joint values.
 
     Args:
@@ -172,7 +170,7 @@ def _shifts_of_speeds(joints: JointStream, points: PointStream) -> list[float]:
             break
         if all(abs(shifts[peak] - shifts[other]) * _GRID > 2.0 * _SMOOTH for other in chosen):
             chosen.append(int(peak))
-        if len(chosen) == 3:  # noqa: PLR2004
+        if len(chosen) == 3:
             break
     return [float(shifts[peak]) * _GRID for peak in chosen]
 
@@ -181,9 +179,7 @@ def _shifts_of_speeds(joints: JointStream, points: PointStream) -> list[float]:
 _LEAST_CORRELATION = 0.2
 
 
-def _shifts_of_paths(
-    joints: JointStream, points: PointStream, robot: Robot | None
-) -> list[float]:
+def _shifts_of_paths(joints: JointStream, points: PointStream, robot: Robot | None) -> list[float]:
     """Return up to three lags at which the points are a function of the joint values, the best first [s]."""
     begin, end = joints.times[0] + LARGEST, joints.times[-1] - LARGEST
     index = np.flatnonzero((points.times >= begin) & (points.times <= end))

@@ -10,7 +10,7 @@ is found in `calib.verbs.bag.lag`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
+from calib.errors import MeasurementError, choices
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,26 +85,58 @@ class PointStream(Value):
         return bool(np.isfinite(self.quaternions).all())
 
 
-def merged(series: Mapping[str, tuple[Array, Array, Array]]) -> JointStream:
-    """Bring joints that several publishers report at their own times onto the times of the most frequent one.
+@dataclass(frozen=True, slots=True, eq=False)
+class Publisher(Value):
+    """Joint values as one publisher sends them: some joints, all of them at the same times."""
+
+    #: Names of its n joints.
+    names: tuple[str, ...]
+    #: shape (N,) [s], as stamped.
+    times: Array
+    #: shape (N, n) [rad] or [m].
+    q: Array
+    #: shape (N, n) [rad/s] or [m/s]; NaN if it sends none.
+    speeds: Array
+
+
+def merged(publishers: Sequence[Publisher], joints: Sequence[str]) -> JointStream:
+    """Bring joints that several publishers send at their own times onto the times of the most frequent one.
 
     Args:
-        series: By joint its times (K,) [s], values (K,) and speeds (K,), in the order of the messages.
+        publishers: Whoever sends joints; a joint that several send is taken from the one with the most messages.
+        joints: The joints that are wanted, each sent by one of them.
 
     Returns:
-        All joints at the times between the latest beginning and the earliest end. Values between two messages are
+        The joints at the times between the latest beginning and the earliest end. Values between two messages are
         interpolated linearly.
+
+    Raises:
+        MeasurementError: Publishers do not overlap in time.
     """
-    sorted_series = {}
-    for name, (times, values, speeds) in series.items():
-        order = np.argsort(times, kind="stable")
-        is_new = np.diff(times[order], prepend=-np.inf) > 0.0
-        kept = order[is_new]
-        sorted_series[name] = (times[kept], values[kept], speeds[kept])
-    begin = max(times[0] for times, _, _ in sorted_series.values())
-    end = min(times[-1] for times, _, _ in sorted_series.values())
-    reference = max((times for times, _, _ in sorted_series.values()), key=len)
+    by_size = sorted(publishers, key=lambda each: -len(each.times))
+    source = {name: each for each in reversed(by_size) for name in each.names}
+    used = [each for each in by_size if any(source[name] is each for name in joints)]
+    ordered = {id(each): np.unique(each.times, return_index=True) for each in used}
+    begin = max(times[0] for times, _ in ordered.values())
+    end = min(times[-1] for times, _ in ordered.values())
+    reference, _ = ordered[id(used[0])]
     common = reference[(reference >= begin) & (reference <= end)]
-    q = np.column_stack([np.interp(common, t, v) for t, v, _ in sorted_series.values()])
-    speeds = np.column_stack([np.interp(common, t, s) for t, _, s in sorted_series.values()])
-    return JointStream(tuple(series), common, q, speeds)
+    if len(common) < _FEWEST:
+        raise MeasurementError(
+            f"The joints {choices(joints)} are not sent at the same time for long: {len(common)} messages."
+        )
+    columns: dict[str, list[Array]] = {"q": [], "speeds": []}
+    for name in joints:
+        each = source[name]
+        times, index = ordered[id(each)]
+        place = each.names.index(name)
+        for key, column in columns.items():
+            values = getattr(each, key)[index, place]
+            column.append(np.interp(common, times, values))
+    return JointStream(
+        tuple(joints), common, np.column_stack(columns["q"]), np.column_stack(columns["speeds"])
+    )
+
+
+#: Fewer messages are no recording.
+_FEWEST = 10

@@ -27,7 +27,9 @@ class Motion:
 
 def stop_and_go(rng, stops=25, rest=2.0, shape="trapezoid", spread=0.7, n=6, dt=2e-4) -> Motion:
     """Moves from pose to pose, all joints at once, with rests between them."""
-    poses = rng.uniform(-spread, spread, (stops, n)) + np.array([0.3, -1.2, 1.4, -0.5, 1.0, 0.2])[:n]
+    poses = (
+        rng.uniform(-spread, spread, (stops, n)) + np.array([0.3, -1.2, 1.4, -0.5, 1.0, 0.2])[:n]
+    )
     pieces, rests, t = [], [], 0.0
     for k, pose in enumerate(poses):
         length = rest * rng.uniform(0.8, 1.3)

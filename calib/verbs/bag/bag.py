@@ -1,0 +1,190 @@
+"""A bag in, a table of measurements out: streams are read, their lag is found, stops are averaged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.basics.arrays import Array
+from calib.basics.files import write_atomically
+from calib.basics.jobs import Progress
+from calib.basics.values import Value, one_line
+from calib.errors import MeasurementError, choices
+from calib.robot.robot import Robot
+from calib.verbs.bag.bag_file import Bag
+from calib.verbs.bag.lag import Lag, NoLag, find_lag
+from calib.verbs.bag.recording import PointTopic, Recording, Stamps, read_recording
+from calib.verbs.bag.stops import find_stops
+from calib.verbs.bag.table import (
+    FEWEST_STOPS,
+    Row,
+    Settings,
+    Skipped,
+    moving_rows,
+    stop_rows,
+    table_bytes,
+    used_spans,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BagTable(Value):
+    """What a bag says of an arm and its target, as rows of a table of measurements."""
+
+    #: Joint values and points over time.
+    recording: Recording
+    #: By topic of points its lag behind the joints: found, not found, or as stated [s].
+    lags: Mapping[str, Lag | NoLag | float]
+    #: shape (S, 2), what is used of each stop [s]; empty if the arm moved all the time.
+    spans: Array
+    #: Stops that are not used, and why.
+    skipped: tuple[Skipped, ...]
+    #: The rows, in the order of time.
+    rows: tuple[Row, ...]
+    #: Names of the joints that slide.
+    sliding: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Return one line, such as ``BagTable(25 stops, 25 rows)``."""
+        return one_line("BagTable", f"{len(self.spans)} stops", f"{self.count} rows")
+
+    @property
+    def count(self) -> int:
+        """Number of rows with a point."""
+        return sum(row.samples > 0 for row in self.rows)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the rows are of stops, not of a moving arm."""
+        return len(self.spans) > 0
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the table (CSV).
+
+        Args:
+            path: The file.
+            overwrite: Whether a file that exists is replaced.
+
+        Raises:
+            MeasurementError: No row has a point.
+            FileError: The file exists, or cannot be written.
+        """
+        if not self.count:
+            raise MeasurementError(
+                "There is no row with a point, so no table is written: no point was measured while the arm stood. Is "
+                "the lag right (--lag), and were the stops long enough (--settle, --shortest)?"
+            )
+        content = table_bytes(self.recording.joints.names, self.sliding, self.rows)
+        return write_atomically(path, content, overwrite=overwrite)
+
+
+def bag(
+    opened: Bag,
+    joints: str,
+    points: Sequence[str] = (),
+    *,
+    robot: Robot | None = None,
+    settings: Settings | None = None,
+    without: Sequence[str] = (),
+    sliding: Sequence[str] = (),
+    stamps: Stamps = "auto",
+    lags: Mapping[str, float] | None = None,
+    moving: bool | None = None,
+    progress: Progress | None = None,
+) -> BagTable:
+    """Make a table of measurements from a bag.
+
+    Args:
+        opened: The bag, see `calib.verbs.bag.bag_file.open_bag`.
+        joints: Topic of the joint values.
+        points: Topics of measured points or poses, ``[GROUP[/TARGET]=]TOPIC[:FRAME]``.
+        robot: The nominal robot: its joints are taken, and its kinematics make the lag more certain; None: all joints
+            that are sent, and the lag by speeds.
+        settings: How long the arm settles, and which stops are short; None: the defaults.
+        without: Joints that are left out.
+        sliding: Joints that slide, if there is no robot that says so.
+        stamps: Which times are used.
+        lags: Lags that are known, by topic [s]; ``""`` for all topics.
+        moving: Whether rows are of a moving arm; None: if it hardly stops.
+        progress: Called with messages read and all messages; None: nothing is called.
+
+    Returns:
+        Rows, lags, and what was skipped.
+
+    Raises:
+        MeasurementError: A topic, joint or frame is not there, or nothing was measured.
+    """
+    chosen = settings or Settings()
+    topics = [PointTopic.parse(text) for text in points]
+    _check_names(topics)
+    recording = read_recording(
+        opened,
+        joints,
+        topics,
+        wanted=None if robot is None else robot.joint_names,
+        without=without,
+        stamps=stamps,
+        progress=progress,
+    )
+    stream = recording.joints
+    unknown = [name for name in sliding if name not in stream.names]
+    if unknown:
+        raise MeasurementError(
+            f"--sliding names {choices(unknown)}, which is none of the joints: {choices(stream.names, limit=30)}."
+        )
+    slides = set(sliding)
+    if robot is not None:
+        slides |= {name for name, kind in robot.joint_types.items() if kind == "prismatic"}
+    found: dict[str, Lag | NoLag | float] = {}
+    stated = lags or {}
+    labels = {"", *(each.topic for each in recording.points)}
+    if not labels.issuperset(stated):
+        raise MeasurementError(
+            f"--lag names {choices(sorted(set(stated) - labels))}, which is none of --points: "
+            f"{choices(sorted(labels - {''}))}."
+        )
+    kinematic = robot if robot is not None and stream.names == robot.joint_names else None
+    for each in recording.points:
+        value = stated.get(each.topic, stated.get(""))
+        found[each.topic] = find_lag(stream, each, kinematic) if value is None else value
+    taken_out = {topic: lag_value(lag) for topic, lag in found.items()}
+    spans, skipped = used_spans(find_stops(stream), chosen)
+    stops = len(spans) >= FEWEST_STOPS if moving is None else not moving
+    if stops or not topics:
+        rows, missing = stop_rows(stream, recording.points, taken_out, spans)
+        skipped = sorted([*skipped, *missing], key=lambda each: each.begin)
+    else:
+        rows = moving_rows(stream, recording.points, taken_out)
+        spans, skipped = np.zeros((0, 2)), []
+    return BagTable(
+        recording,
+        found,
+        spans,
+        tuple(skipped),
+        tuple(rows),
+        tuple(name for name in stream.names if name in slides),
+    )
+
+
+def lag_value(lag: Lag | NoLag | float) -> float:
+    """Return the lag that is taken out [s]: 0 if none was found."""
+    if isinstance(lag, Lag):
+        return lag.value
+    return 0.0 if isinstance(lag, NoLag) else lag
+
+
+def _check_names(topics: Sequence[PointTopic]) -> None:
+    """Refuse several topics whose rows could not be told apart."""
+    labels = [topic.label for topic in topics]
+    names = [(topic.group, topic.target) for topic in topics]
+    for k, topic in enumerate(topics):
+        if labels.index(topic.label) < k:
+            raise MeasurementError(f"--points names '{topic.label}' twice; name each topic once.")
+        if names.index((topic.group, topic.target)) < k:
+            raise MeasurementError(
+                f"--points names several topics, and '{topic.label}' has the same names as another one. Say which is "
+                "of another instrument, GROUP=TOPIC, or of another target, GROUP/TARGET=TOPIC or /TARGET=TOPIC."
+            )
