@@ -11,22 +11,24 @@ robot, with an unknown frame and target,
     p = s + R_f p_tip(q) + R_f R_tip(q) t,
 
 linear in 13 unknowns a coordinate. Without one, f is the Taylor polynomial of each move by itself: in the principal
-directions z of its joint values, with all terms z^a / a! above `_SMALLEST_TERM`. One step of Gauss and Newton is
+directions z of its joint values, with all terms z^a / a! above `_SMALLEST_TERM`. If the arm does not rest, f is one
+sum of products of sines and cosines of up to three joints, for all of the motion. The lag is the zero of sum v.r, found by
+Newton's method with its slope g by differences,
 
-    d_lag = - sum v.r / sum v.v
+    d_lag = - sum v.r / sum g,
 
-with the residual r, and the velocity v of the fitted f along the motion, both without what the unknowns of f explain (G. Golub,
-V. Pereyra, 1973). The sums are over moves w; their scatter gives the standard deviation, whatever errors the moves
-have in common within each: of jitter, noise, or a wrong robot,
+with the residual r, and the velocity v of the fitted f along the motion, both without what the unknowns of f explain
+(G. Golub, V. Pereyra, 1973). The sums are over moves w. Their scatter gives the standard deviation, whatever errors there
+are within each move, of jitter, noise, or a wrong robot:
 
-    sigma^2 = W / (W - 1) sum_w (v.r + d_lag v.v)_w^2 / (sum v.v)^2.
+    sigma^2 = W / (W - 1) sum_w (v.r + d_lag g)_w^2 / (sum g)^2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -112,10 +114,11 @@ def find_lag(joints: JointStream, points: PointStream, robot: Robot | None = Non
         The lag with its standard deviation, or why there is none.
     """
     _, rests = _windows(joints, points, 0.0)
-    if robot is None and rests:
-        guesses = _shifts_of_speeds(joints, points)
-    else:
-        guesses = _shifts_of_paths(joints, points, robot)
+    guesses = (
+        _shifts_of_speeds(joints, points)
+        if robot is None and rests
+        else _shifts_of_paths(joints, points, robot)
+    )
     if not guesses:
         return NoLag("no_motion")
     refined = [_refined(joints, points, robot, guess) for guess in guesses]
@@ -259,7 +262,7 @@ def _windows(joints: JointStream, points: PointStream, lag: float) -> tuple[list
         parts = 1 if length <= _LONGEST_MOVE else int(np.ceil(length / _WINDOW))
         moves += parts == 1
         cuts = np.linspace(start, stop, parts + 1)
-        spans += list(zip(cuts[:-1], cuts[1:], strict=True))
+        spans += list(pairwise(cuts))
     rests = 2 * moves > len(spans)
     if len(spans) > _MOST_WINDOWS:
         chosen = np.linspace(0, len(spans) - 1, _MOST_WINDOWS).round().astype(int)
@@ -285,7 +288,7 @@ _FEWEST_POINTS = 12
 def _refined(
     joints: JointStream, points: PointStream, robot: Robot | None, guess: float
 ) -> tuple[Lag, float] | None:
-    """Refine a lag by least squares; None if there is no motion. The mean square of the residuals comes with it [m²]."""
+    """Refine a lag; return it with the mean square of the residuals [m²], or None if there is no motion."""
     lag = guess
     for _ in range(_MOST_STEPS):
         windows, rests = _windows(joints, points, lag)

@@ -115,7 +115,7 @@ class PointReader:
         """
         if not self._several:
             return
-        listed = choices([child for child in self._met], limit=30)
+        listed = choices(list(self._met), limit=30)
         if not self._frames:
             raise MeasurementError(
                 f"{self._what} has transforms of several frames; name the one that was measured, TOPIC:FRAME: {listed}."

@@ -1,7 +1,7 @@
 """Streams of joint values and points, read from a bag in one pass, and the clock that each of them is on.
 
-A message has the time when the recorder received it, and mostly a stamp in its header, set where it was measured. Stamps
-do not have the jitter of the network, so they are used if they run as the recorder's clock does. A stamp of another
+A message has the time when the recorder received it, and mostly a stamp in its header, set where it was measured.
+Stamps do not have the jitter of the network, so they are used if they run as the recorder's clock does. A stamp of another
 computer may be off by minutes; if it is off by more than `SAME_CLOCK`, the median difference is taken out:
 
     time = stamp + median(received - stamp).
@@ -139,8 +139,8 @@ def read_recording(
     seen: dict[str, tuple[list[tuple[int, int]], list[list[float]]]] = {
         each.label: ([], []) for each in points
     }
-    done = 0
-    for name, received, message in bag.messages([topic.name, *readers]):
+    messages = bag.messages([topic.name, *readers])
+    for done, (name, received, message) in enumerate(messages, start=1):
         if name == topic.name:
             names = tuple(message.name)
             if names and len(message.position) == len(names):
@@ -154,7 +154,6 @@ def read_recording(
                 times, rows = seen[each.label]
                 times.append((stamped, received))
                 rows.append([*position, *(turn or (np.nan,) * 4)])
-        done += 1
         if progress is not None and done % _REPORTED == 0:
             progress(done, total)
 

@@ -1,11 +1,11 @@
 """Rows of a table of measurements from streams: a row for each stop, or for each point of an arm that does not stop.
 
-At a stop joints and points are averaged after the arm has settled. The scatter of a coordinate there is the row's sigma,
+At a stop joints and points are averaged after the arm has settled. The row's sigma is that of a coordinate of the mean.
+Samples that follow each other may be correlated, and the arm may creep, so it is from the means m_b of B pieces:
 
-    sigma_i = max(s_i, median of all s),    s_i^2 = sum over coordinates and samples (p - mean)^2 / (3 (n - 1)),
+    sigma^2 = sum over coordinates and blocks (m_b - mean)^2 / (3 B (B - 1)),    at least the median of all stops,
 
-so that a stop at which the arm or the instrument shook counts less, and none counts more because a few samples happened
-to agree. It is not divided by the root of n: what differs from stop to stop is not averaged away.
+so that a stop at which the arm or the instrument shook counts less, and none counts more by chance.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ from calib.verbs.bag.streams import JointStream, PointStream
 
 #: The end of a stop is not used: the lag is not exact [s].
 _MARGIN = 0.1
+
+#: A stop is divided into so many pieces, or as many as it has samples.
+_BLOCKS = 8
 
 #: Fewer stops are none: the arm moves, and rests by chance.
 FEWEST_STOPS = 5
@@ -70,7 +73,7 @@ class Row(Value):
     position: Array
     #: shape (4,), scalar last; NaN of a point.
     quaternion: Array
-    #: Scatter of a coordinate [m] and of an angle [rad] at a stop; NaN: not known.
+    #: Standard deviations of a coordinate [m] and of an angle [rad]; NaN: not known.
     sigma: float
     sigma_angle: float
     #: Number of points that were averaged.
@@ -139,7 +142,7 @@ def stop_rows(
                     stream.target,
                     p.mean(axis=0),
                     turn,
-                    _scatter(p),
+                    _sigma_of_mean(p),
                     sigma_angle,
                     len(p),
                 )
@@ -256,21 +259,21 @@ def _at_least_median(values: Sequence[float]) -> Array | None:
     return np.asarray(floor)
 
 
-def _scatter(p: Array) -> float:
-    """Return the standard deviation of a coordinate of points (n, D) about their mean; NaN of one point."""
-    if len(p) < 2:
+def _sigma_of_mean(values: Array) -> float:
+    """Return the standard deviation of the mean of a coordinate of values (n, D) in time order; NaN of one row."""
+    blocks = min(_BLOCKS, len(values))
+    if blocks < 2:
         return float(np.nan)
-    return float(np.sqrt(np.sum((p - p.mean(axis=0)) ** 2) / (p.shape[1] * (len(p) - 1))))
+    means = np.array([block.mean(axis=0) for block in np.array_split(values, blocks)])
+    squares = np.sum((means - means.mean(axis=0)) ** 2)
+    return float(np.sqrt(squares / (values.shape[1] * blocks * (blocks - 1))))
 
 
 def _mean_rotation(quaternions: Array) -> tuple[Array, float]:
-    """Return the mean of quaternions (n, 4), and the scatter of an angle about it [rad]; NaN if they are NaN."""
+    """Return the mean of quaternions (n, 4), and the sigma of an angle of it [rad]; NaN if they are NaN."""
     if not np.isfinite(quaternions).all():
         return np.full(4, np.nan), float(np.nan)
     turns = Rotation.from_quat(quaternions)
     mean = turns.mean()
     off = (mean.inv() * turns).as_rotvec()
-    sigma = np.nan
-    if len(off) > 1:
-        sigma = np.sqrt(np.sum(off**2) / (3 * (len(off) - 1)))
-    return np.asarray(mean.as_quat()), float(sigma)
+    return np.asarray(mean.as_quat()), _sigma_of_mean(off)

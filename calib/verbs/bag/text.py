@@ -32,7 +32,8 @@ _NO_LAG = {
 
 #: What to do about it.
 _REMEDY = {
-    "no_motion": "Were points measured only while the arm stood, a small lag does not matter; otherwise state it (--lag).",
+    "no_motion": "If points were measured only while the arm stood, a small lag does not matter; otherwise state it "
+    "(--lag).",
     "unclear": "Give the robot (--robot), or state the lag (--lag).",
 }
 
@@ -186,7 +187,8 @@ def _lag_lines(made: BagTable) -> Iterator[str]:
             more = "" if lag.by_robot else " --robot makes it more certain."
             yield (
                 f"Lag: {topic} is {abs(lag.value):.4f} s {side} than the joints, standard uncertainty "
-                f"{number(1e3 * lag.sigma, 2)} ms, by {by} ({plural(lag.moves, 'part')} of the motion); taken out.{more}"
+                f"{number(1e3 * lag.sigma, 2)} ms, by {by} ({plural(lag.moves, 'part')} of the motion); taken out."
+                f"{more}"
             )
         elif isinstance(lag, NoLag):
             yield f"Lag: not found for {topic}, {_NO_LAG[lag.code]}; none is taken out. {_REMEDY[lag.code]}"
