@@ -12,16 +12,18 @@ robot, with an unknown frame and target,
 
 linear in 13 unknowns a coordinate. Without one, f is the Taylor polynomial of each move by itself: in the principal
 directions z of its joint values, with all terms z^a / a! above `_SMALLEST_TERM`. If the arm does not rest, f is one
-sum of products of sines and cosines of up to three joints, for all of the motion. The lag is the zero of sum v.r, found by
-Newton's method with its slope g by differences,
+sum of products of sines and cosines of up to three joints, for all of the motion. The lag is the zero of sum v.r,
+found by Newton's method with its slope g by differences,
 
     d_lag = - sum v.r / sum g,
 
 with the residual r, and the velocity v of the fitted f along the motion, both without what the unknowns of f explain
-(G. Golub, V. Pereyra, 1973). The sums are over moves w. Their scatter gives the standard deviation, whatever errors there
-are within each move, of jitter, noise, or a wrong robot:
+(G. Golub, V. Pereyra, 1973). The sums are over moves w. Their scatter gives the standard deviation, whatever errors
+there are within each move, of jitter, noise, or a wrong robot:
 
-    sigma^2 = W / (W - 1) sum_w (v.r + d_lag g)_w^2 / (sum g)^2.
+    sigma^2 = W / (W - 1) sum_w ((v.r + d_lag g)_w / (1 - h_w))^2 / (sum g)^2,
+
+with the part h_w of a shift of one move alone that unknowns in common explain.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Integers
 from calib.basics.values import Value
 from calib.robot.robot import Robot
 from calib.verbs.bag.streams import JointStream, PointStream
@@ -245,7 +247,7 @@ def _speed(times: Array, values: Array, grid: Array) -> tuple[Array, np.ndarray]
     return np.sqrt(speed), inside
 
 
-def _windows(joints: JointStream, points: PointStream, lag: float) -> tuple[list[Array], bool]:
+def _windows(joints: JointStream, points: PointStream, lag: float) -> tuple[list[Integers], bool]:
     """Return indices of the points in each move, or in each window of a motion that rarely rests; and if it rests."""
     begin, end = joints.times[0] + _SMOOTH, joints.times[-1] - _SMOOTH
     grid = np.arange(begin, end, _GRID)
@@ -294,9 +296,9 @@ def _refined(
         windows, rests = _windows(joints, points, lag)
         if len(windows) < FEWEST_WINDOWS:
             return None
-        before, _ = _products(joints, points, robot, windows, lag - _SECANT, rests)
-        vr, square = _products(joints, points, robot, windows, lag, rests)
-        after, _ = _products(joints, points, robot, windows, lag + _SECANT, rests)
+        before, _, _ = _products(joints, points, robot, windows, lag - _SECANT, rests)
+        vr, kept, square = _products(joints, points, robot, windows, lag, rests)
+        after, _, _ = _products(joints, points, robot, windows, lag + _SECANT, rests)
         slopes = (after - before) / (2.0 * _SECANT)
         slope = float(slopes.sum())
         if slope <= 0.0:
@@ -306,7 +308,7 @@ def _refined(
         if abs(step) < _ENOUGH:
             break
     W = len(vr)
-    spread = float(np.sum((vr + step * slopes) ** 2)) * W / (W - 1)
+    spread = float(np.sum(((vr + step * slopes) / kept) ** 2)) * W / (W - 1)
     sigma = float(np.sqrt(spread)) / slope
     return Lag(lag, sigma, W, robot is not None), square
 
@@ -328,11 +330,14 @@ def _products(
     joints: JointStream,
     points: PointStream,
     robot: Robot | None,
-    windows: Sequence[Array],
+    windows: Sequence[Integers],
     lag: float,
     rests: bool,
-) -> tuple[Array, float]:
-    """Return v.r of W windows, shape (W,) [m²/s], and the mean square of all residuals [m²]."""
+) -> tuple[Array, Array, float]:
+    """Return v.r of W windows, (W,) [m²/s], the share 1 - h of its own shift that each shows, and the mean r² [m²].
+
+    Where windows have unknowns in common, these explain the part h of a shift of one window.
+    """
     if robot is not None or not rests:
         every = sum(len(w) for w in windows) // _MOST_TOGETHER + 1
         windows = [w[::every] for w in windows]
@@ -343,18 +348,27 @@ def _products(
             if robot is not None
             else _arm_terms(joints.at(points.times[together] - lag), len(together) // 8)
         )
-        v, r, unknowns = _residual(joints, points, terms, together, lag)
-        vr = np.bincount(owner, np.sum(v * r, axis=1), len(windows))
-        return vr, float(np.sum(r**2)) / (3 * max(len(together) - unknowns, 1))
+        v, r, U, moved = _residual(joints, points, terms, together, lag)
+        vr = np.asarray(np.bincount(owner, np.sum(v * r, axis=1), len(windows)))
+        explained = []
+        for window in range(len(windows)):
+            own = owner == window
+            part = np.sum((U[own].T @ moved[own]) ** 2) / np.sum(moved[own] ** 2)
+            explained.append(min(float(part), _MOST_EXPLAINED))
+        freedom = 3 * max(len(together) - U.shape[1], 1)
+        return vr, 1.0 - np.array(explained), float(np.sum(r**2)) / freedom
     products, squares, freedom = [], 0.0, 0
     for window in windows:
         terms = _taylor_terms(joints.at(points.times[window] - lag), len(window) // 4)
-        v, r, unknowns = _residual(joints, points, terms, window, lag)
+        v, r, U, _ = _residual(joints, points, terms, window, lag)
         products.append(float(np.sum(v * r)))
         squares += float(np.sum(r**2))
-        freedom += 3 * max(len(window) - unknowns, 1)
-    return np.array(products), squares / freedom
+        freedom += 3 * max(len(window) - U.shape[1], 1)
+    return np.array(products), np.ones(len(products)), squares / freedom
 
+
+#: The largest part of a window's shift that is taken to be explained by unknowns in common.
+_MOST_EXPLAINED = 0.8
 
 #: Squared singular values below this share of the largest are zero.
 _RANK_TOLERANCE = 1e-10
@@ -364,10 +378,10 @@ def _residual(
     joints: JointStream,
     points: PointStream,
     terms: Callable[[Array], Array],
-    window: Array,
+    window: Integers,
     lag: float,
-) -> tuple[Array, Array, int]:
-    """Return v and r of points, shape (k, 3) each, and the number of unknowns of a coordinate."""
+) -> tuple[Array, Array, Array, Array]:
+    """Return v and r of k points, (k, 3) each, an orthonormal basis of f's terms, (k, u), and v with them, (k, 3)."""
     times = points.times[window] - lag
     p = points.positions[window]
     A = terms(joints.at(times))
@@ -379,9 +393,9 @@ def _residual(
     U = A @ toward
     coefficients = toward @ (U.T @ p)
     r = p - U @ (U.T @ p)
-    v = rate @ coefficients
-    v -= U @ (U.T @ v)
-    return v, r, int(kept.sum())
+    moved = rate @ coefficients
+    v = moved - U @ (U.T @ moved)
+    return v, r, U, moved
 
 
 def _kinematic_terms(robot: Robot) -> Callable[[Array], Array]:
@@ -404,7 +418,7 @@ def _arm_terms(q: Array, most: int) -> Callable[[Array], Array]:
         q: shape (k, n), joint values of the motion.
         most: The largest number of terms; products of more joints are left out first.
     """
-    moved = np.flatnonzero(np.ptp(q, axis=0) > _SMALLEST_TERM)
+    moved = np.flatnonzero(np.ptp(q, axis=0) > _SMALLEST_TERM).tolist()
     mean = q.mean(axis=0)
     factors = [(joint, turn) for joint in moved for turn in (0, 1)]
     chosen: list[tuple[tuple[int, int], ...]] = []

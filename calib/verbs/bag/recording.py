@@ -1,8 +1,8 @@
 """Streams of joint values and points, read from a bag in one pass, and the clock that each of them is on.
 
 A message has the time when the recorder received it, and mostly a stamp in its header, set where it was measured.
-Stamps do not have the jitter of the network, so they are used if they run as the recorder's clock does. A stamp of another
-computer may be off by minutes; if it is off by more than `SAME_CLOCK`, the median difference is taken out:
+Stamps do not have the jitter of the network, so they are used if they run as the recorder's clock does. Those of
+another computer may be off by minutes; if they are off by more than `SAME_CLOCK`, the median difference is taken out:
 
     time = stamp + median(received - stamp).
 """
@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Integers
 from calib.basics.jobs import Progress
 from calib.basics.values import Value
 from calib.errors import MeasurementError, choices, did_you_mean
@@ -242,7 +242,7 @@ def _points(
 _NO_TURN = 1e-9
 
 
-def _clock(pairs: Array, stamps: Stamps) -> Clock:
+def _clock(pairs: Integers, stamps: Stamps) -> Clock:
     """Choose the clock of messages by their stamps and times of receipt, shape (N, 2) [ns]."""
     if stamps == "received":
         return Clock("received", 0.0, "stated")
@@ -261,7 +261,7 @@ def _clock(pairs: Array, stamps: Stamps) -> Clock:
     return Clock("header", shift)
 
 
-def _times(bag: Bag, pairs: Array, clock: Clock) -> Array:
+def _times(bag: Bag, pairs: Integers, clock: Clock) -> Array:
     """Return the times of messages, shape (N,) [s] from the beginning of the bag, of (N, 2) [ns]."""
     if clock.by == "received":
         return np.asarray((pairs[:, 1] - bag.begin) * _SECOND)
