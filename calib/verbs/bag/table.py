@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from calib.basics.arrays import Array
 from calib.basics.files import csv_bytes
 from calib.basics.values import Value
+from calib.data.columns import DEFAULT_TARGET
 from calib.verbs.bag.stops import SHORTEST
 from calib.verbs.bag.streams import JointStream, PointStream
 
@@ -233,7 +234,8 @@ def table_bytes(names: Sequence[str], sliding: Collection[str], rows: Sequence[R
         line += np.where(is_sliding, row.q * _MM, np.degrees(row.q)).tolist()
         line += (["estimate" if is_measured else "via"]) * has_sets
         line += (["pose" if poses[k] else "point"]) * kinds
-        line += [row.group] * groups + [row.target] * targets
+        target = row.target or (DEFAULT_TARGET if is_measured else "")
+        line += [row.group] * groups + [target] * targets
         line += _cells(row.position * _MM)
         line += _cells(row.quaternion) if some_poses else []
         line += _cells(sigma[k : k + 1] * _MM) if sigma is not None else []

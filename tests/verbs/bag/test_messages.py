@@ -119,7 +119,7 @@ def test_encodings_become_the_grey_values_of_opencv():
         found = grey(picture(encoding, pixels, pad))
         assert found is not None
         assert np.abs(found.astype(int) - wanted).max() <= 1, encoding
-    big = picture("mono16", wanted.astype(">u2") * 256, big=True)
+    big = picture("mono16", (wanted.astype(np.uint16) * 256).astype(">u2"), big=True)
     np.testing.assert_array_equal(grey(big), wanted)
     yuv = np.dstack([np.full((24, 32), 128, np.uint8), wanted])
     np.testing.assert_array_equal(grey(picture("yuv422", yuv)), wanted)
