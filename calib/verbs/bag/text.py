@@ -52,12 +52,12 @@ def topics_text(bag: Bag, path: str) -> list[str]:
         bag: The bag.
         path: Its name in the call.
     """
-    lines = [f"{path}: {plural(len(bag.topics), 'topic')}, {number(bag.duration)} s.", ""]
+    lines = [f"{path}: {plural(len(bag.topics), 'topic')}, {number(bag.duration, 1)} s.", ""]
     width = max(len(topic.name) for topic in bag.topics)
     types = max(len(topic.type) for topic in bag.topics)
     lines.append(f"  {'topic':<{width}}  {'type':<{types}}  {'messages':>8}  {'per s':>7}")
     for topic in bag.topics:
-        rate = number(topic.count / bag.duration) if bag.duration > 0.0 else ""
+        rate = number(topic.count / bag.duration, 1) if bag.duration > 0.0 else ""
         lines.append(f"  {topic.name:<{width}}  {topic.type:<{types}}  {topic.count:>8}  {rate:>7}")
     by_count = sorted(bag.topics, key=lambda topic: -topic.count)
     joints = [topic.name for topic in by_count if topic.type == JOINTS and topic.count]
@@ -103,7 +103,7 @@ def table_text(made: BagTable) -> list[str]:
         rates[each.topic] = (len(each.times) - 1) / length if length > 0.0 else 0.0
     lines = [
         fill(
-            f"{topic}: {counts[topic]}, {number(rates[topic])} per s, {_clock_text(clock)}",
+            f"{topic}: {counts[topic]}, {number(rates[topic], 1)} per s, {_clock_text(clock)}",
             "",
             "  ",
         )
@@ -111,11 +111,11 @@ def table_text(made: BagTable) -> list[str]:
     ]
     lines += [fill(line, "", "  ") for line in _lag_lines(made)]
     if made.stopped:
-        lines.append(fill(f"{plural(len(made.spans), 'stop')} in {number(span)} s.", "", "  "))
+        lines.append(fill(f"{plural(len(made.spans), 'stop')} in {number(span, 1)} s.", "", "  "))
     elif recording.points:
         lines.append(
             fill(
-                f"The arm hardly stops in {number(span)} s: {plural(made.count, 'row')} of the moving arm, the joint "
+                f"The arm hardly stops in {number(span, 1)} s: {plural(made.count, 'row')} of the moving arm, the joint "
                 "values at the times of the points.",
                 "",
                 "  ",
@@ -172,7 +172,7 @@ def _clock_text(clock: Clock) -> str:
     if clock.offset:
         side = "behind" if clock.offset > 0.0 else "ahead of"
         return (
-            f"by its stamps, which are {number(abs(clock.offset), 6)} s {side} the recorder's clock; this was taken "
+            f"by its stamps, which are {number(abs(clock.offset))} s {side} the recorder's clock; this was taken "
             "out."
         )
     return "by its stamps."

@@ -87,7 +87,7 @@ def test_a_stated_lag_and_a_robot(folder: Path, ur5: Robot):
 def test_an_arm_that_does_not_stop(tmp_path: Path, ur5: Robot):
     rng = np.random.default_rng(3)
     moving = wandering(rng, duration=30.0, dt=5e-3)
-    joints, points = streams(moving, ur5, rng, -0.3, jitter=0.0, point_rate=40.0, noise=0.0)
+    joints, points = streams(moving, ur5, rng, 0.3, jitter=0.0, point_rate=40.0, noise=0.0)
     m = Messages("mcap")
     path = m.write(tmp_path / "run", "mcap", m.joints(joints, "/joints"), m.points(points, "/p"))
     table = made(path, "/p", robot=ur5)

@@ -50,7 +50,8 @@ def test_the_picture_in_the_middle_of_each_stop(tmp_path: Path, kind: str):
     m = Messages(kind)
     path = tmp_path / ("run.bag" if kind == "bag" else "run")
     times = np.arange(0.0, 6.0, 0.1)
-    m.write(path, kind, m.joints(JOINTS, "/joints"), images(m, "/left", times), compressed(m, "/right", times[:38]))  # fmt: skip
+    events = (images(m, "/left", times), compressed(m, "/right", times[:38]))
+    m.write(path, kind, m.joints(JOINTS, "/joints"), *events)
     folder = tmp_path / "pictures"
     topics = [ImageTopic.parse("left=/left"), ImageTopic.parse("right=/right")]
     with open_bag(path) as bag:

@@ -35,7 +35,7 @@ def said(table: BagTable) -> str:
 
 def test_clocks_and_lags_in_words():
     text = said(TABLE)
-    assert "/j: 1 joint, 10 per s, by the times of receipt: its stamps are not set." in text
+    assert "/j: 1 joint, 10.0 per s, by the times of receipt: its stamps are not set." in text
     assert "120.500 s ahead of the recorder's clock" in text
     assert "/p is 0.2500 s earlier than the joints, standard uncertainty 0.40 ms" in text
     assert "--robot" in text
