@@ -19,11 +19,13 @@ import numpy as np
 
 from calib.robot.robot import Robot
 from calib.verbs.bag.lag import Lag, find_lag
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.verbs.bag.bags import KINDS, Messages
 from tests.verbs.bag.motions import stop_and_go, streams, wandering
 
 #: Rates of joints, points and pictures in the bags [1/s].
-_JOINTS, _POINTS, _PICTURES = 500.0, 300.0, 0.5
+_JOINTS, _POINTS, _PICTURES = 500.0, 300.0, 1.0
 
 #: The lag and the clock of the tracker in the bags [s].
 _LAG, _CLOCK = 1.234, -432.1
@@ -60,6 +62,7 @@ def bags() -> None:
             table = Path(folder) / f"{kind}.csv"
             words = ["bag", str(path), "--joints", "/joint_states", "--points", "/tracker"]
             words += ["--images", "/camera", "--pictures", str(Path(folder) / f"pictures_{kind}")]
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
             begin = time.perf_counter()
             subprocess.run(
                 [sys.executable, "-m", "calib", *words, "-o", str(table)],
@@ -67,12 +70,14 @@ def bags() -> None:
                 capture_output=True,
             )
             seconds = time.perf_counter() - begin
-            memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            memory = after.ru_maxrss / 1e3
+            work = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
             texts.append(table.read_bytes())
             rows = texts[-1].count(b"\n") - 1
             print(
-                f"{kind}: {size:.0f} MB, {len(joints.times) + len(points.times)} messages: {rows} rows in {seconds:.1f} s,"
-                f" at most {memory:.0f} MB of memory so far"
+                f"{kind}: {size:.0f} MB, {len(joints.times) + len(points.times)} messages: {rows} rows in "
+                f"{seconds:.1f} s, {work:.1f} s of work of a core, at most {memory:.0f} MB of memory so far"
             )
     print("one table" if len(set(texts)) == 1 else "tables differ")
 
@@ -91,7 +96,8 @@ def lags(runs: int) -> None:
             rng = np.random.default_rng(seed)
             lag = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.05), np.log(4.0)))
             if name == "stops":
-                motion = stop_and_go(rng, stops=20, rest=1.5, shape=rng.choice(["trapezoid", "quintic"]), dt=1e-3)  # fmt: skip
+                shape = rng.choice(["trapezoid", "quintic"])
+                motion = stop_and_go(rng, stops=20, rest=1.5, shape=shape, dt=1e-3)
             else:
                 motion = wandering(rng, duration=120.0, dt=2e-3)
             joints, points = streams(
@@ -117,8 +123,8 @@ def lags(runs: int) -> None:
             z = np.array(standardised[way])
             print(
                 f"{name}, {way}: {len(ms)} of {runs} found, rms {np.sqrt(np.mean(ms**2)):.2f} ms, 95 % "
-                f"{np.quantile(ms, 0.95):.2f} ms, max {ms.max():.2f} ms; error / sigma rms {np.sqrt(np.mean(z**2)):.2f}, "
-                f"within 2 sigma {100.0 * np.mean(np.abs(z) < 2.0):.0f} %"
+                f"{np.quantile(ms, 0.95):.2f} ms, max {ms.max():.2f} ms; error / sigma rms "
+                f"{np.sqrt(np.mean(z**2)):.2f}, within 2 sigma {100.0 * np.mean(np.abs(z) < 2.0):.0f} %"
             )
 
 

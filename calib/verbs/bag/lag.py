@@ -200,8 +200,9 @@ def _shifts_of_paths(joints: JointStream, points: PointStream, robot: Robot | No
     lags = _SCAN * np.arange(-most, most + 1)
     costs = []
     for lag in lags:
-        Q, _ = np.linalg.qr(terms(joints.at(points.times[index] - lag)))
-        costs.append(np.mean((p - Q @ (Q.T @ p)) ** 2))
+        A = terms(joints.at(points.times[index] - lag))
+        U = A @ _toward_basis(A)
+        costs.append(np.mean((p - U @ (U.T @ p)) ** 2))
     cost = np.array(costs)
     if cost.min() > _EXPLAINED * np.mean((p - p.mean(axis=0)) ** 2):
         return []
@@ -387,15 +388,20 @@ def _residual(
     A = terms(joints.at(times))
     # v is by the difference of the terms along the motion.
     rate = (terms(joints.at(times + _STEP)) - terms(joints.at(times - _STEP))) / (2.0 * _STEP)
-    squared, V = np.linalg.eigh(A.T @ A)
-    kept = squared > _RANK_TOLERANCE * squared[-1]
-    toward = V[:, kept] / np.sqrt(squared[kept])
+    toward = _toward_basis(A)
     U = A @ toward
     coefficients = toward @ (U.T @ p)
     r = p - U @ (U.T @ p)
     moved = rate @ coefficients
     v = moved - U @ (U.T @ moved)
     return v, r, U, moved
+
+
+def _toward_basis(A: Array) -> Array:
+    """Return the matrix B, (u, rank), for which A B is an orthonormal basis of the columns of A, (k, u)."""
+    squared, V = np.linalg.eigh(A.T @ A)
+    kept = squared > _RANK_TOLERANCE * squared[-1]
+    return np.asarray(V[:, kept] / np.sqrt(squared[kept]))
 
 
 def _kinematic_terms(robot: Robot) -> Callable[[Array], Array]:

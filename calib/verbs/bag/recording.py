@@ -253,7 +253,8 @@ def _clock(pairs: Integers, stamps: Stamps) -> Clock:
         return Clock("header", shift)
     if np.mean(pairs[:, 0] == 0) > 0.0:
         return Clock("received", 0.0, "unset")
-    span = np.ptp(pairs, axis=0) * _SECOND
+    first, last = np.argmin(pairs[:, 1]), np.argmax(pairs[:, 1])
+    span = (pairs[last] - pairs[first]) * _SECOND
     if span[1] > _SHORT and abs(span[0] / span[1] - 1.0) > max(_SAME_RATE, 1.0 / span[1]):
         return Clock("received", 0.0, "rate")
     if np.median(np.abs(difference - offset)) > _PLAUSIBLE_SCATTER:

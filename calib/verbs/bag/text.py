@@ -115,8 +115,8 @@ def table_text(made: BagTable) -> list[str]:
     elif recording.points:
         lines.append(
             fill(
-                f"The arm hardly stops in {number(span, 1)} s: {plural(made.count, 'row')} of the moving arm, the joint "
-                "values at the times of the points.",
+                f"The arm hardly stops in {number(span, 1)} s: {plural(made.count, 'row')} of the moving arm, with the "
+                "joint values at the times of the points.",
                 "",
                 "  ",
             )
