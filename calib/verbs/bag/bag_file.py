@@ -13,6 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from calib.basics.arrays import Array
 from calib.basics.values import Value
 from calib.errors import MeasurementError, choices, did_you_mean
 
@@ -76,14 +79,14 @@ class Bag:
         return found
 
     def messages(
-        self, names: Collection[str], begin: float | None = None, end: float | None = None
+        self, names: Collection[str], spans: Array | None = None
     ) -> Iterator[tuple[str, int, Any]]:
         """Iterate over the messages of topics, as the recorder received them; one is held at a time.
 
         Args:
             names: Names of the topics.
-            begin: Messages received earlier are passed over [s], from the first message of the bag; None: none.
-            end: Messages received then or later are passed over [s]; None: none.
+            spans: shape (S, 2), increasing beginnings and ends [s], from the first message of the bag: messages that
+                were received outside of them are passed over, without being decoded. None: none is.
 
         Yields:
             The topic, the time of receipt in nanoseconds since 1970, and the message with the fields of its type.
@@ -94,10 +97,14 @@ class Bag:
         wanted = [each for each in self._reader.connections if each.topic in names]
         if not wanted:  # to rosbags this means all
             return
-        span = [None if t is None else self.begin + round(t / _SECOND) for t in (begin, end)]
+        edges = None if spans is None else np.ravel(spans)
         stores: dict[Any, Any] = {}
         with _refusing_damage(self.source):
-            for connection, received, data in self._reader.messages(wanted, *span):
+            for connection, received, data in self._reader.messages(wanted):
+                if edges is not None:
+                    at = (received - self.begin) * _SECOND
+                    if np.searchsorted(edges, at, side="right") % 2 == 0:
+                        continue
                 key = (connection.topic, connection.id)
                 if key not in stores:
                     stores[key] = _store(connection, is_ros2=self._is_ros2)

@@ -1,12 +1,12 @@
 """Pictures at the stops of the arm, one of each camera, named so that ``calib detect`` finds their joint values.
 
-A picture is a message of its own in the bag: of each stop the one nearest to its middle is taken, in a second pass that
-reads the bag around the stops alone. Compressed pictures are written as they are.
+Of each stop the picture nearest to its middle is taken, in a second pass that decodes those at stops alone, and holds
+one or two. Compressed pictures are written as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from calib.basics.jobs import Progress
 from calib.basics.values import Value
 from calib.errors import MeasurementError
 from calib.verbs.bag.bag_file import Bag
-from calib.verbs.bag.messages import COMPRESSED_IMAGE, IMAGES, grey, stamp
+from calib.verbs.bag.messages import IMAGES, grey, stamp
 from calib.verbs.bag.recording import SAME_CLOCK
 from calib.verbs.bag.streams import JointStream
 from calib.verbs.bag.table import Skipped
@@ -83,8 +83,6 @@ def write_pictures(
         MeasurementError: A topic has no pictures, or an encoding that is not one of pictures.
         FileError: A file exists, or cannot be written.
     """
-    from calib.boards.render import write_png
-
     by_name = {}
     for each in topics:
         topic = bag.topic(each.name, "--images")
@@ -102,7 +100,8 @@ def write_pictures(
     head += [f"{name} [{unit}]" for name, unit in zip(joints.names, units, strict=True)]
     lines = [head]
     skipped = []
-    for number, (begin, end) in enumerate(spans, start=1):
+    for number, nearest in enumerate(_nearest(bag, by_name, spans, by_stamps=by_stamps), start=1):
+        begin, end = spans[number - 1]
         inside = (joints.times >= begin) & (joints.times <= end)
         if not inside.any():
             continue
@@ -111,30 +110,13 @@ def write_pictures(
             float(value * _MM if unit == "mm" else np.degrees(value))
             for value, unit in zip(q, units, strict=True)
         ]
-        nearest = _nearest(bag, by_name, (begin, end), by_stamps=by_stamps)
-        for name, (each, type_name) in by_name.items():
+        for name, (each, _) in by_name.items():
             if name not in nearest:
                 skipped.append(Skipped(float(begin), float(end - begin), "no_image", name))
                 continue
-            message = nearest[name]
             stem = f"{each.camera}_{number:04d}" if each.camera else f"{number:04d}"
-            if type_name == COMPRESSED_IMAGE:
-                data = bytes(message.data)
-                ending = next((e for start, e in _BEGINNINGS.items() if data.startswith(start)), "")
-                if not ending:
-                    raise MeasurementError(
-                        f"{bag.source}: '{name}' has pictures of the format '{message.format}'; JPEG, PNG, BMP and "
-                        "TIFF are read."
-                    )
-                file = write_atomically(made / f"{stem}{ending}", data, overwrite=overwrite)
-            else:
-                pixels = grey(message)
-                if pixels is None:
-                    raise MeasurementError(
-                        f"{bag.source}: '{name}' has pictures of the encoding '{message.encoding}'; mono, rgb, bgr, "
-                        "bayer and yuv422 are read."
-                    )
-                file = write_png(pixels, made / f"{stem}.png", overwrite=overwrite)
+            data, ending = _file_of(nearest[name], f"{bag.source}: '{name}'")
+            file = write_atomically(made / f"{stem}{ending}", data, overwrite=overwrite)
             lines.append([file.name, *([each.camera] if has_cameras else []), *cells])
         if progress is not None:
             progress(number, len(spans))
@@ -143,24 +125,53 @@ def write_pictures(
     return len(lines) - 1, skipped
 
 
+def _file_of(message: Any, what: str) -> tuple[bytes, str]:  # noqa: ANN401
+    """Return the contents of a picture's file and the ending of its name; MeasurementError if it is no picture."""
+    from calib.boards.render import png_bytes
+
+    if hasattr(message, "format"):
+        data = bytes(message.data)
+        for start, ending in _BEGINNINGS.items():
+            if data.startswith(start):
+                return data, ending
+        raise MeasurementError(
+            f"{what} has pictures of the format '{message.format}'; JPEG, PNG, BMP and TIFF are read."
+        )
+    pixels = grey(message)
+    if pixels is None:
+        raise MeasurementError(
+            f"{what} has pictures of the encoding '{message.encoding}'; mono, rgb, bgr, bayer and yuv422 are read."
+        )
+    return png_bytes(pixels), ".png"
+
+
 def _nearest(
-    bag: Bag, names: Collection[str], span: tuple[float, float], *, by_stamps: bool
-) -> dict[str, Any]:
-    """Return by topic the picture nearest to the middle of a stop, of those taken in it."""
-    begin, end = span
-    middle = 0.5 * (begin + end)
-    best: dict[str, tuple[float, Any]] = {}
-    # Pictures are received a little later than they are taken.
-    for name, received, message in bag.messages(names, max(begin - _LATE, 0.0), end + _LATE):
+    bag: Bag, names: Collection[str], spans: Array, *, by_stamps: bool
+) -> Iterator[dict[str, Any]]:
+    """Yield for each stop, by topic, the picture nearest to its middle, of those taken in it."""
+    best: list[dict[str, tuple[float, Any]]] = [{} for _ in spans]
+    done = 0
+    # Pictures are received a little later than they are taken, and spans so widened may touch.
+    wide = spans + np.array([0.0, _LATE])
+    wide[:-1, 1] = np.minimum(wide[:-1, 1], wide[1:, 0])
+    for name, received, message in bag.messages(names, wide):
         at = (received - bag.begin) * _SECOND
+        while done < len(spans) and at > spans[done, 1] + _LATE:
+            yield {topic: found for topic, (_, found) in best[done].items()}
+            best[done] = {}
+            done += 1
         stamped = (stamp(message.header) - bag.begin) * _SECOND
         if by_stamps and abs(stamped - at) < SAME_CLOCK:
             at = stamped
-        off = abs(at - middle)
-        if begin <= at <= end and (name not in best or off < best[name][0]):
-            best[name] = (off, message)
-    return {name: message for name, (_, message) in best.items()}
+        stop = int(np.searchsorted(spans[:, 0], at, side="right")) - 1
+        if stop < done or at > spans[stop, 1]:
+            continue
+        off = abs(at - float(spans[stop].mean()))
+        if name not in best[stop] or off < best[stop][name][0]:
+            best[stop][name] = (off, message)
+    for each in best[done:]:
+        yield {topic: found for topic, (_, found) in each.items()}
 
 
-#: Pictures are looked for so much around a stop, by their time of receipt [s].
+#: Pictures are received up to so much later than they are taken [s].
 _LATE = 1.0

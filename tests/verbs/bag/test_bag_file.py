@@ -51,7 +51,7 @@ def test_a_bag_of_any_kind_has_the_same_messages(folder: Path, name: str):
         ]
         assert tuple(found[7][2].name) == NAMES
         np.testing.assert_array_equal(found[7][2].position, [0.07, -0.07])
-        part = bag.messages(["/joint_states"], 0.1, 0.2)
+        part = bag.messages(["/joint_states"], np.array([[0.095, 0.195], [0.3, 0.3]]))
         assert [message.position[0] for _, _, message in part] == pytest.approx(
             np.arange(10, 20) * 0.01
         )
