@@ -42,6 +42,7 @@ NAMES = [
     "Scenario",
     "TrackerNoise",
     "acceptance",
+    "bag",
     "base_frame",
     "bootstrap",
     "calibrate",

@@ -5,16 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
+from calib.basics.arguments import (
+    check_callable,
+    check_number,
+    check_path,
+    check_type,
+    wrong_type,
+)
 from calib.basics.arrays import Array
 from calib.basics.files import write_atomically
 from calib.basics.jobs import Progress
 from calib.basics.values import Value, one_line
 from calib.errors import MeasurementError, choices
 from calib.robot.robot import Robot
-from calib.verbs.bag.bag_file import Bag
+from calib.verbs.bag.bag_file import Bag, open_bag
 from calib.verbs.bag.lag import Lag, NoLag, find_lag
 from calib.verbs.bag.recording import PointTopic, Recording, Stamps, read_recording
 from calib.verbs.bag.stops import find_stops
@@ -82,6 +90,81 @@ class BagTable(Value):
 
 
 def bag(
+    path: str | Path,
+    joints: str,
+    points: Sequence[str] = (),
+    *,
+    robot: Robot | str | Path | None = None,
+    tip: str | None = None,
+    settle: float = 0.5,
+    shortest: float = 0.3,
+    without: Sequence[str] = (),
+    sliding: Sequence[str] = (),
+    stamps: Stamps = "auto",
+    lags: Mapping[str, float] | None = None,
+    moving: bool | None = None,
+    progress: Progress | None = None,
+) -> BagTable:
+    """Make a table of measurements from a ROS bag, without ROS.
+
+    Args:
+        path: File ``.bag``, ``.mcap`` or ``.db3``, or the folder of a rosbag 2.
+        joints: Topic of the joint values.
+        points: Topics of measured points or poses, ``[GROUP[/TARGET]=]TOPIC[:FRAME]``.
+        robot: The nominal robot, a path or its name: its joints are taken, and its kinematics make the lag more
+            certain; None: all joints that are sent, and the lag by the moves alone.
+        tip: Link of the robot that carries the target; None: the end of the longest chain.
+        settle: The arm settles for so long after it has stopped [s].
+        shortest: Stops of which less is left are skipped [s].
+        without: Joints that are left out.
+        sliding: Joints that slide, if there is no robot that says so.
+        stamps: Times of messages: ``header``, ``received``, or ``auto``.
+        lags: How much later points are stamped than joint values, where it is known, by topic [s]; ``""`` for all.
+        moving: Whether rows are of a moving arm; None: if it hardly stops.
+        progress: Called with messages read and all messages; None: nothing is called.
+
+    Returns:
+        Rows, lags, and what was skipped; its method ``write`` writes the table.
+
+    Raises:
+        ArgumentError: An argument of another type.
+        MeasurementError: The bag cannot be read, a topic, joint or frame is not there, or nothing was measured.
+    """
+    check_path("path", path)
+    check_type("joints", joints, str, "the name of a topic")
+    for argument, given in (("points", points), ("without", without), ("sliding", sliding)):
+        is_list = isinstance(given, (list, tuple)) and all(isinstance(name, str) for name in given)
+        if not is_list:
+            raise wrong_type(argument, given, "a list of names")
+    allowed = "a Robot, the path of its file, its name, or None"
+    check_type("robot", robot, (Robot, str, Path, type(None)), allowed)
+    check_number("settle", settle, 0.0)
+    check_number("shortest", shortest, 0.05)
+    check_type("lags", lags, (Mapping, type(None)), "lags by topic, or None")
+    for lag in (lags or {}).values():
+        check_number("lags", lag)
+    if stamps not in get_args(Stamps):
+        raise wrong_type("stamps", stamps, choices(get_args(Stamps)))
+    check_type("moving", moving, (bool, type(None)), "True, False or None")
+    check_callable("progress", progress)
+    arm = Robot.load(robot, None, tip) if isinstance(robot, (str, Path)) else robot
+    with open_bag(path) as opened:
+        return bag_table(
+            opened,
+            joints,
+            points,
+            robot=arm,
+            settings=Settings(settle, shortest),
+            without=without,
+            sliding=sliding,
+            stamps=stamps,
+            lags=lags,
+            moving=moving,
+            progress=progress,
+        )
+
+
+def bag_table(
     opened: Bag,
     joints: str,
     points: Sequence[str] = (),
@@ -95,28 +178,7 @@ def bag(
     moving: bool | None = None,
     progress: Progress | None = None,
 ) -> BagTable:
-    """Make a table of measurements from a bag.
-
-    Args:
-        opened: The bag, see `calib.verbs.bag.bag_file.open_bag`.
-        joints: Topic of the joint values.
-        points: Topics of measured points or poses, ``[GROUP[/TARGET]=]TOPIC[:FRAME]``.
-        robot: The nominal robot: its joints are taken, and its kinematics make the lag more certain; None: all joints
-            that are sent, and the lag by speeds.
-        settings: How long the arm settles, and which stops are short; None: the defaults.
-        without: Joints that are left out.
-        sliding: Joints that slide, if there is no robot that says so.
-        stamps: Which times are used.
-        lags: Lags that are known, by topic [s]; ``""`` for all topics.
-        moving: Whether rows are of a moving arm; None: if it hardly stops.
-        progress: Called with messages read and all messages; None: nothing is called.
-
-    Returns:
-        Rows, lags, and what was skipped.
-
-    Raises:
-        MeasurementError: A topic, joint or frame is not there, or nothing was measured.
-    """
+    """Do as `bag` of a bag that is open; ``settings`` are its times of stops, None: the defaults."""
     chosen = settings or Settings()
     topics = [PointTopic.parse(text) for text in points]
     _check_names(topics)

@@ -137,7 +137,7 @@ def bag(
 ) -> None:
     """List the topics, or read the streams, and write the table and the pictures."""
     from calib.robot.robot import Robot
-    from calib.verbs.bag.bag import bag as table_of
+    from calib.verbs.bag.bag import bag_table
     from calib.verbs.bag.bag_file import open_bag
     from calib.verbs.bag.pictures import ImageTopic, write_pictures
     from calib.verbs.bag.table import Settings
@@ -168,7 +168,7 @@ def bag(
     arm = None if robot is None else Robot.load(robot, None, tip)
     with open_bag(path) as opened:
         with progress_bar("reading", quiet=quiet) as progress:
-            made = table_of(
+            made = bag_table(
                 opened,
                 joints,
                 points or (),

@@ -11,7 +11,6 @@ from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 from calib.robot.robot import Robot
 from calib.verbs.bag.bag import BagTable, bag
-from calib.verbs.bag.bag_file import open_bag
 from calib.verbs.bag.lag import Lag, NoLag
 from calib.verbs.bag.streams import PointStream
 from tests.verbs.bag.bags import KINDS, Messages
@@ -43,8 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, ur5: Robot, motion: Motion)
 
 
 def made(path: Path, *points: str, **options) -> BagTable:
-    with open_bag(path) as opened:
-        return bag(opened, "/joints", points, **options)
+    return bag(path, "/joints", points, **options)
 
 
 def test_all_kinds_of_bags_make_one_table(folder: Path, tmp_path: Path, motion: Motion, ur5: Robot):
