@@ -23,13 +23,15 @@ there are within each move, of jitter, noise, or a wrong robot:
 
     sigma^2 = W / (W - 1) sum_w ((v.r + d_lag g)_w / (1 - h_w))^2 / (sum g)^2,
 
-with the part h_w of a shift of one move alone that unknowns in common explain.
+with the part h_w of a shift of one move alone that unknowns in common explain. Of Taylor polynomials
+half of what the smaller half of their terms change is added.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -297,10 +299,9 @@ def _refined(
         windows, rests = _windows(joints, points, lag)
         if len(windows) < FEWEST_WINDOWS:
             return None
-        before, _, _ = _products(joints, points, robot, windows, lag - _SECANT, rests)
-        vr, kept, square = _products(joints, points, robot, windows, lag, rests)
-        after, _, _ = _products(joints, points, robot, windows, lag + _SECANT, rests)
-        slopes = (after - before) / (2.0 * _SECANT)
+        products = partial(_products, joints, points, robot, windows, rests=rests)
+        vr, kept, square = products(lag)
+        slopes = _slopes(products, lag)
         slope = float(slopes.sum())
         if slope <= 0.0:
             return None
@@ -310,9 +311,17 @@ def _refined(
             break
     W = len(vr)
     spread = float(np.sum(((vr + step * slopes) / kept) ** 2)) * W / (W - 1)
-    sigma = float(np.sqrt(spread)) / slope
+    variance = spread / slope**2
+    if robot is None and rests:
+        fewer = partial(products, fewer=True)
+        change = float(fewer(lag)[0].sum() / _slopes(fewer, lag).sum())
+        variance += (_LEFT_OUT * change) ** 2
+    sigma = float(np.sqrt(variance))
     return Lag(lag, sigma, W, robot is not None), square
 
+
+#: Terms that were left out change a lag by this share of what the smaller half of those that were not change.
+_LEFT_OUT = 0.5
 
 #: Steps of Newton's method.
 _MOST_STEPS = 8
@@ -327,17 +336,26 @@ _LARGEST_STEP = 0.1
 _ENOUGH = 1e-5
 
 
+def _slopes(products: Callable[[float], tuple[Array, Array, float]], lag: float) -> Array:
+    """Return the derivatives of v.r of each window by the lag, (W,) [m²/s²]."""
+    after, before = (products(lag + side * _SECANT)[0] for side in (1.0, -1.0))
+    return np.asarray((after - before) / (2.0 * _SECANT))
+
+
 def _products(
     joints: JointStream,
     points: PointStream,
     robot: Robot | None,
     windows: Sequence[Integers],
     lag: float,
+    *,
     rests: bool,
+    fewer: bool = False,
 ) -> tuple[Array, Array, float]:
     """Return v.r of W windows, (W,) [m²/s], the share 1 - h of its own shift that each shows, and the mean r² [m²].
 
-    Where windows have unknowns in common, these explain the part h of a shift of one window.
+    Where windows have unknowns in common, these explain the part h of a shift of one window. ``fewer`` takes half
+    of the terms of Taylor polynomials.
     """
     if robot is not None or not rests:
         every = sum(len(w) for w in windows) // _MOST_TOGETHER + 1
@@ -350,17 +368,19 @@ def _products(
             else _arm_terms(joints.at(points.times[together] - lag), len(together) // 8)
         )
         v, r, U, moved = _residual(joints, points, terms, together, lag)
-        vr = np.asarray(np.bincount(owner, np.sum(v * r, axis=1), len(windows)))
+        every_vr = np.sum(v * r, axis=1)
+        vr = np.array([float(every_vr[owner == k].sum()) for k in range(len(windows))])
         explained = []
-        for window in range(len(windows)):
-            own = owner == window
+        for number in range(len(windows)):
+            own = owner == number
             part = np.sum((U[own].T @ moved[own]) ** 2) / np.sum(moved[own] ** 2)
             explained.append(min(float(part), _MOST_EXPLAINED))
         freedom = 3 * max(len(together) - U.shape[1], 1)
         return vr, 1.0 - np.array(explained), float(np.sum(r**2)) / freedom
     products, squares, freedom = [], 0.0, 0
     for window in windows:
-        terms = _taylor_terms(joints.at(points.times[window] - lag), len(window) // 4)
+        q = joints.at(points.times[window] - lag)
+        terms = _taylor_terms(q, len(window) // 4, fewer=fewer)
         v, r, U, _ = _residual(joints, points, terms, window, lag)
         products.append(float(np.sum(v * r)))
         squares += float(np.sum(r**2))
@@ -452,12 +472,13 @@ def _arm_terms(q: Array, most: int) -> Callable[[Array], Array]:
     return terms
 
 
-def _taylor_terms(q: Array, most: int) -> Callable[[Array], Array]:
+def _taylor_terms(q: Array, most: int, *, fewer: bool) -> Callable[[Array], Array]:
     """Return the function from joint values to the terms of their Taylor polynomial about those of a window.
 
     Args:
         q: shape (k, n), joint values of the window.
         most: The largest number of terms.
+        fewer: Whether only half of them are taken, the larger ones.
     """
     mean = q.mean(axis=0)
     _, _, directions = np.linalg.svd(q - mean, full_matrices=False)
@@ -477,7 +498,8 @@ def _taylor_terms(q: Array, most: int) -> Callable[[Array], Array]:
         sized += [(value, np.bincount(term, minlength=len(size))) for term, value in longer]
         ends = longer
     sized.sort(key=lambda pair: -pair[0])
-    powers_kept = [powers for _, powers in sized[: max(most - 1, 1)]]
+    count = min(max(most - 1, 1), len(sized))
+    powers_kept = [powers for _, powers in sized[: (count + 1) // 2 if fewer else count]]
 
     def terms(at: Array) -> Array:
         """Return the terms at joint values (k, n), each at most about 1."""

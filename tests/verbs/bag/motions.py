@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.basics.arrays import Array, read_only
 from calib.robot.robot import Robot
 from calib.verbs.bag.streams import JointStream, PointStream
 
@@ -16,16 +17,24 @@ TARGET = np.array([0.05, -0.03, 0.12])
 class Motion:
     """Joint values as a function of time, and the times at which the arm stands."""
 
-    knots: np.ndarray
-    q: np.ndarray
+    knots: Array
+    q: Array
     rests: list[tuple[float, float]]
     duration: float
 
-    def at(self, t):
+    def at(self, t: Array) -> Array:
         return np.column_stack([np.interp(t, self.knots, column) for column in self.q.T])
 
 
-def stop_and_go(rng, stops=25, rest=2.0, shape="trapezoid", spread=0.7, n=6, dt=2e-4) -> Motion:
+def stop_and_go(
+    rng: np.random.Generator,
+    stops: int = 25,
+    rest: float = 2.0,
+    shape: str = "trapezoid",
+    spread: float = 0.7,
+    n: int = 6,
+    dt: float = 2e-4,
+) -> Motion:
     """Moves from pose to pose, all joints at once, with rests between them."""
     poses = (
         rng.uniform(-spread, spread, (stops, n)) + np.array([0.3, -1.2, 1.4, -0.5, 1.0, 0.2])[:n]
@@ -49,29 +58,43 @@ def stop_and_go(rng, stops=25, rest=2.0, shape="trapezoid", spread=0.7, n=6, dt=
             pieces.append(pose + s[:, None] * (poses[k + 1] - pose))
             t += len(u) * dt
     q = np.vstack(pieces)
-    return Motion(np.arange(len(q)) * dt, q, rests, len(q) * dt)
+    return Motion(read_only(np.arange(len(q)) * dt), q, rests, len(q) * dt)
 
 
-def wandering(rng, duration=200.0, n=6, dt=1e-3) -> Motion:
+def wandering(
+    rng: np.random.Generator, duration: float = 200.0, n: int = 6, dt: float = 1e-3
+) -> Motion:
     """All joints swing, each at its own frequencies, without a rest."""
     t = np.arange(round(duration / dt)) * dt
     q = np.tile(np.array([0.3, -1.2, 1.4, -0.5, 1.0, 0.2])[:n], (len(t), 1))
     for j in range(n):
         for f in rng.uniform(0.03, 0.4, 4):
             q[:, j] += 0.3 * np.sin(2 * np.pi * (f * t + rng.uniform()))
-    return Motion(t, q, [], duration)
+    return Motion(read_only(t), q, [], duration)
 
 
-def stamps(rng, duration, rate, jitter, drops):
+def stamps(
+    rng: np.random.Generator, duration: float, rate: float, jitter: float, drops: float
+) -> tuple[Array, Array]:
+    """True times, and as they are stamped."""
     t = np.arange(0.0, duration, 1.0 / rate)
     t = t[rng.uniform(size=len(t)) >= drops]
     return t, np.sort(t + jitter * rng.standard_normal(len(t)))
 
 
 def streams(
-    motion: Motion, robot: Robot, rng, lag, *, joint_rate=125.0, point_rate=100.0, jitter=1e-3, drops=0.02,
-    noise=1e-4, joint_noise=2e-5,
-) -> tuple[JointStream, PointStream]:  # fmt: skip
+    motion: Motion,
+    robot: Robot,
+    rng: np.random.Generator,
+    lag: float,
+    *,
+    joint_rate: float = 125.0,
+    point_rate: float = 100.0,
+    jitter: float = 1e-3,
+    drops: float = 0.02,
+    noise: float = 1e-4,
+    joint_noise: float = 2e-5,
+) -> tuple[JointStream, PointStream]:
     """Streams of a motion; the points come later by the lag."""
     true, stamped = stamps(rng, motion.duration, joint_rate, jitter, drops)
     q = motion.at(true) + joint_noise * rng.standard_normal((len(true), len(robot.joint_names)))
