@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from calib.result.calibration import Calibration as Calibration
     from calib.robot.dh_rows import DHRow as DHRow
     from calib.robot.robot import Robot as Robot
+    from calib.verbs.bag.bag import bag as bag
     from calib.verbs.base_frame.base_frame import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
@@ -69,6 +70,7 @@ _NAMES = {
     "calib.verbs.evaluate.evaluation": "Evaluation evaluate",
     "calib.boards.board": "Board",
     "calib.camera.camera": "Camera",
+    "calib.verbs.bag.bag": "bag",
     "calib.verbs.base_frame.base_frame": "base_frame",
     "calib.verbs.compensate.commands": "Commands",
     "calib.verbs.compensate.compensate": "compensate",

@@ -31,6 +31,7 @@ VERBS = (
     "simulate",
     "board",
     "detect",
+    "bag",
     "joints",
     "base-frame",
     "calibrate",

@@ -44,6 +44,7 @@ NAMES = [
     "Scenario",
     "TrackerNoise",
     "acceptance",
+    "bag",
     "base_frame",
     "bootstrap",
     "calibrate",

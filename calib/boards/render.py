@@ -216,10 +216,22 @@ def write_png(image: Image, path: str | os.PathLike[str], *, overwrite: bool = F
         FileError: The file exists and is not to be overwritten, or cannot be written.
         CalibError: OpenCV is not installed, or cannot encode the picture.
     """
+    return write_atomically(path, png_bytes(image), overwrite=overwrite)
+
+
+def png_bytes(image: Image) -> bytes:
+    """Return a picture as the contents of a PNG file.
+
+    Args:
+        image: Grey values, shape (h, w), uint8.
+
+    Raises:
+        CalibError: OpenCV is not installed, or cannot encode the picture.
+    """
     is_done, data = opencv().imencode(".png", image)
     if not is_done:
-        raise CalibError(f"OpenCV cannot encode the picture as PNG for '{os.fspath(path)}'.")
-    return write_atomically(path, data.tobytes(), overwrite=overwrite)
+        raise CalibError("OpenCV cannot encode the picture as PNG.")
+    return bytes(data.tobytes())
 
 
 def _draw_sheet(picture: NDArray[np.float32], sheet: _Sheet, scene: Scene) -> NDArray[np.float32]:

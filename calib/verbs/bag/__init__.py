@@ -1,0 +1,1 @@
+"""Make a table of measurements from a ROS bag, without ROS."""
