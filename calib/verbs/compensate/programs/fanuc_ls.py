@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -193,13 +194,14 @@ class _Values:
 
 def _positions(path: Path, text: str, start: int, end: int) -> dict[int, dict[int, _Values]]:
     """Return the positions between two characters by number, each by group."""
+    line_ends = [match.start() for match in re.finditer("\n", text)]
     positions: dict[int, dict[int, _Values]] = {}
     for entry in _ENTRY.finditer(text, start, end):
         number = int(entry[1])
         close = text.find("}", entry.end(), end)
         close = end if close < 0 else close
         if number in positions:
-            line = text.count("\n", 0, entry.start()) + 1
+            line = bisect_left(line_ends, entry.start()) + 1
             raise MeasurementError(
                 f"{path}, line {line}: position P[{number}] is there twice; keep one."
             )
@@ -207,13 +209,13 @@ def _positions(path: Path, text: str, start: int, end: int) -> dict[int, dict[in
         starts = [(int(head[1]), head.end()) for head in heads] or [(1, entry.end())]
         ends = [head.start() for head in heads[1:]] + [close]
         positions[number] = {
-            group: _group(text, begin, stop)
+            group: _group(text, begin, stop, line_ends)
             for (group, begin), stop in zip(starts, ends, strict=True)
         }
     return positions
 
 
-def _group(text: str, start: int, end: int) -> _Values:
+def _group(text: str, start: int, end: int, line_ends: list[int]) -> _Values:
     """Return one group of a position, which stands between two characters."""
     frame, tool = (pattern.search(text, start, end) for pattern in (_FRAME, _TOOL))
     config = _CONFIG.search(text, start, end)
@@ -228,15 +230,16 @@ def _group(text: str, start: int, end: int) -> _Values:
                 for turn in _TURNS.finditer(text, begin, config.end(1))
             )
     numbers: dict[str, tuple[NumberText | None, str]] = {}
-    line = 0
+    first = start
     for value in _VALUE.finditer(text, start, end):
-        line = line or text.count("\n", 0, value.start()) + 1
+        if not numbers:
+            first = value.start()
         number = None
         if value[2][0] != "*":
             number = NumberText(value.start(2), value.end(2), float(value[2]))
         numbers[value[1]] = (number, value[3] or "")
     return _Values(
-        line or text.count("\n", 0, start) + 1,
+        bisect_left(line_ends, first) + 1,
         frame[1] if frame else "F",
         tool[1] if tool else "F",
         letters,
@@ -326,10 +329,9 @@ class _Reader:
             code = mode
             for pattern, why in _OPTIONS:
                 code = code or (why if pattern.search(rest) else None)
-            if re.search(r"\bCOORD\b", rest) and leads:
-                code = code or "external axes"
+            follows = leads and re.search(r"\bCOORD\b", rest) is not None
             for kind, what, index in ends:
-                self._move(statement.line, kind, what, index.strip(), code)
+                self._move(statement.line, kind, what, index.strip(), code, follows=follows)
         for number, groups in self.positions.items():
             if number not in self.named and self.group in groups:
                 line = groups[self.group].line
@@ -358,8 +360,13 @@ class _Reader:
             values.add(tuple(others))
         return len(values) > 1
 
-    def _move(self, line: int, kind: str, what: str, index: str, code: LeftCode | None) -> None:
-        """Take a motion to a position, which is corrected, or left for a reason."""
+    def _move(
+        self, line: int, kind: str, what: str, index: str, code: LeftCode | None, *, follows: bool
+    ) -> None:
+        """Take a motion to a position, which is corrected, or left for a reason.
+
+        A robot that ``follows`` another group does so on its way: joint values are where it ends.
+        """
         name = f"{what}[{index}]"
         if what == "PR":
             of_register: LeftCode = "other file"
@@ -380,11 +387,11 @@ class _Reader:
         if code is None and not groups:
             code = "partial"
         if code is None:
-            code = self._take(number, line, kind)
+            code = self._take(number, line, kind, follows=follows)
         if code is not None:
             self.left.append(Left(0, line, code, name))
 
-    def _take(self, number: int, line: int, kind: str) -> LeftCode | None:
+    def _take(self, number: int, line: int, kind: str, *, follows: bool) -> LeftCode | None:
         """Add the motion to a position, and the position if it is new; or return why it is left."""
         values = self.positions[number][self.group]
         if values.joints:
@@ -397,7 +404,7 @@ class _Reader:
             return "partial"
         if [unit for _, unit in numbers] != ["mm"] * 3 + ["deg"] * 3:
             return "unread"
-        if any(value != 0.0 for value in values.external):
+        if follows or any(value != 0.0 for value in values.external):
             return "external axes"
         T_base_frame, of_frame = self._numbered(values.frame, "UFRAME")
         T_tip_tool, of_tool = self._numbered(values.tool, "UTOOL")

@@ -60,25 +60,10 @@ _INDEX = re.compile(r"(UF|TL|STEP)#\(([^)]*)\)")
 
 #: Instructions that read a variable of positions, and do not change it.
 _READING = frozenset(
-    [
-        "SFTON",
-        "GETE",
-        "REFP",
-        "MFRAME",
-        "SETTOOL",
-        "CALL",
-        "IF",
-        "IFTHEN",
-        "IFTHENEXP",
-        "ELSEIF",
-        "WHILE",
-        "WAIT",
-        "DISP",
-        "SETREG",
-        "MSG",
-        "PRINT",
-        "SAVEV",
-    ]
+    (
+        *("SFTON", "GETE", "REFP", "MFRAME", "SETTOOL", "CALL", "WAIT", "DISP", "SETREG", "MSG"),
+        *("IF", "IFTHEN", "IFTHENEXP", "ELSEIF", "WHILE"),
+    )
 )
 #: Instructions that run other jobs, which may change any variable.
 _OTHER_JOBS = re.compile(r"(?:CALL|PSTART|MACRO\d*|JUMP\s+JOB:)\b")
@@ -265,9 +250,9 @@ class _Reader:
         step = 0
         for line, row in self.instructions:
             word = row.split(" ")[0]
-            if word == "SFTON":
+            if word in ("SFTON", "SSFTON"):
                 shifted = True
-            elif word == "SFTOF":
+            elif word in ("SFTOF", "SSFTOF"):
                 shifted = False
             motion = _MOTION.match(row)
             if motion is None:
@@ -280,7 +265,8 @@ class _Reader:
             first, *further = _FURTHER.split(row)
             self._motion(line, first, code)
             for part in further:
-                self._motion(line, "+" + part, code)
+                if _POSITION.search(part):
+                    self._motion(line, "+" + part, code)
         for name, datum in self.data.items():
             if name not in self.named:
                 self.left.append(Left(0, datum.line, "unused", datum.name))
@@ -310,11 +296,9 @@ class _Reader:
             code = "conveyor"
         elif word.startswith("I") or (prefix or "").startswith("EI"):
             code = "relative"
-        elif prefix == "S":
-            code = "external axes"
-        elif word not in _MOTIONS or prefix:
+        elif word not in _MOTIONS or prefix not in (None, "S"):
             code = "unread"
-        elif re.search(r"\bUNTIL\b", row):
+        elif re.search(r"\b(?:UNTIL|SRCH)\b", row):
             code = "search"
         elif not self.robot_group:
             code = "group"
@@ -327,7 +311,7 @@ class _Reader:
             if kind in ("C", "P") and number.isdigit():
                 self.named.add(name)
                 if why is None:
-                    why = self._take(line, name, _MOTIONS[word])
+                    why = self._take(line, name, _MOTIONS[word], follows=prefix == "S")
             else:
                 why = why or "computed"
             if why is not None:
@@ -335,8 +319,11 @@ class _Reader:
         if not positions:
             self.left.append(Left(0, line, code or "partial", row[:40]))
 
-    def _take(self, line: int, name: str, motion: Motion) -> LeftCode | None:
-        """Add a motion to a position, and the position if it is new; or return why it is left."""
+    def _take(self, line: int, name: str, motion: Motion, *, follows: bool) -> LeftCode | None:
+        """Add a motion to a position, and the position if it is new; or return why it is left.
+
+        A robot that ``follows`` a station or another robot does so on its way: joint values are where it ends.
+        """
         datum = self.data.get(name)
         if name[0] == "P" and self.computed["P"] & {name[1:], "*"}:
             return "computed"
@@ -358,7 +345,7 @@ class _Reader:
             return "relative"
         if datum.form not in ("BASE", "ROBOT", "USER"):
             return "group"
-        if self.base_axes and datum.form != "ROBOT":
+        if datum.form != "ROBOT" and (self.base_axes or follows):
             return "external axes"
         if len(datum.numbers) == 7:
             return "unread"  # Re, the angle of the elbow of seven joints
@@ -435,7 +422,7 @@ class _Reader:
             first = self.stated.joint_names[0]
             raise MeasurementError(
                 f"{self.path}: positions are in pulses. State the pulses of each joint, such as "
-                f"--pulses \"{first}=1000 per deg\", with the sign by which the robot's joint and the controller's differ."
+                f'--pulses "{first}=1000 per deg"; below zero if the joint turns the other way.'
             )
 
     def _configuration(self, rconf: tuple[int, ...]) -> Configuration | None:
@@ -448,11 +435,8 @@ class _Reader:
 
         def allows(q: Array) -> Mask:
             """Return whether joint values (K, 6) [rad] are of the configuration."""
-            if old:
-                # Cosine of R, above zero within a right angle of no turn.
-                sign = np.cos(q[:, 3])
-            else:
-                sign = q[:, 4]
+            # The cosine of R is above zero within a right angle of zero, and of whole turns.
+            sign = np.cos(q[:, 3]) if old else q[:, 4]
             mask = np.asarray(sign < _CLOSE if no_flip else sign > -_CLOSE)
             if posture is not None:
                 mask &= posture.is_elbow_up(q, up=not lower)
@@ -524,7 +508,7 @@ def _tool_of(number: int, rows: list[str]) -> dict[int, Array]:
 
 
 def _frame_of(number: int, rows: list[str], frames: dict[int, Array]) -> dict[int, Array]:
-    """Return the frame of an entry in the robot's frame: BUSER, in the frame that BASICFRM names; none if that moves."""
+    """Return the frame of an entry in the base: BUSER in the frame that BASICFRM names; none if that moves."""
     T = np.eye(4)
     for row in rows:
         word = row.lstrip("/").split(" ")[0].split("=")[0]
