@@ -531,7 +531,7 @@ class _Reader:
 
 _VARIABLE = re.compile(r"^\[\*SYSTEM\*\]\$(MNUFRAME|MNUTOOL)\s.*$", re.MULTILINE)
 _ELEMENT = re.compile(
-    r"\[(\d+)\s*,\s*(\d+)\]\s*=[^\n]*\n\s*Group:[^\n]*\n"
+    r"\[(\d+)\s*,\s*(\d+)\]\s*=[^\n]*\n\s*Group:[^\n]*\n\s*"
     + r"\s*".join(rf"{name}:\s*({_NUMBER})" for name in _POSE[:3])
     + r"\s*"
     + r"\s*".join(rf"{name}:\s*({_NUMBER})" for name in _POSE[3:])
