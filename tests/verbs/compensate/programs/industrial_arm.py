@@ -1,4 +1,4 @@
-"""An arm as FANUC's and Yaskawa's are, with the axes and zeros of their controllers, its base at the height of axis 2."""
+"""An arm as FANUC's and Yaskawa's are, with axes and zeros of their controllers, its base at the height of axis 2."""
 
 from __future__ import annotations
 

@@ -217,7 +217,7 @@ def test_upper_arm_and_front_are_those_at_zero(tmp_path: Path, stated: Stated) -
     lower, rear = tmp_path / "lower.jbi", tmp_path / "rear.jbi"
     lower.write_text(text.replace("///RCONF 0,0,0", "///RCONF 0,1,0"))
     rear.write_text(text.replace("///RCONF 0,0,0", "///RCONF 0,0,1"))
-    bent, over = np.radians([[0, 40, -90, 0, -60, 0], [0, -60, 60, 0, -60, 0]])
+    bent, over = np.radians([[0, 100, 130, 0, -60, 0], [0, -60, 60, 0, -60, 0]])
     for path, allowed in (
         (DATA / "older.jbi", [False] * 2),
         (lower, [True, False]),
