@@ -93,8 +93,8 @@ _SCALES = {"mm": 1e-3, "deg": math.pi / 180.0}
 #: Joints, from 0, whose turns the three numbers of a configuration count.
 _TURNING = (0, 3, 5)
 
-#: Joint 5 is between flip and no flip if it is closer to zero than this [rad].
-_STRAIGHT = 1e-4
+#: Joint values so close to where configuration data change are of both, as the pose was rounded [rad].
+_CLOSE = 2e-4
 
 
 def read(path: Path, stated: Stated) -> ProgramFile:
@@ -499,15 +499,15 @@ class _Reader:
             """Return whether joint values (K, 6) [rad] are of the configuration."""
             mask = np.ones(len(q), dtype=bool)
             if "N" in letters:
-                mask &= q[:, 4] < _STRAIGHT
+                mask &= q[:, 4] < _CLOSE
             elif "F" in letters:
-                mask &= q[:, 4] > -_STRAIGHT
+                mask &= q[:, 4] > -_CLOSE
             if posture is not None and set(letters) & set("UD"):
                 mask &= posture.is_elbow_up(q, up="U" in letters)
             if posture is not None and set(letters) & set("TB"):
                 mask &= posture.is_front(q, front="T" in letters)
             for joint, turn in zip(_TURNING, turns, strict=bool(turns)):
-                mask &= np.floor((q[:, joint] + math.pi) / (2.0 * math.pi)) == turn
+                mask &= np.abs(q[:, joint] - 2.0 * math.pi * turn) < math.pi + _CLOSE
             return mask
 
         return allows
@@ -517,12 +517,21 @@ class _Reader:
         if len(self.stated.joint_names) != 6 or len(values.turns) != 3:
             return ()
 
-        def turn_of(joint: int) -> Callable[[Array], int]:
-            """Return the function from joint values to the turns of one joint."""
-            return lambda q: math.floor((float(q[joint]) + math.pi) / (2.0 * math.pi))
+        def turn_of(joint: int, written: float) -> Callable[[Array], int]:
+            """Return the function from joint values to the turns of one joint, the written ones where they still hold."""
+
+            def turn(q: Array) -> int:
+                """Return the turns at joint values (6,) [rad]."""
+                value = float(q[joint])
+                if abs(value - 2.0 * math.pi * written) < math.pi + _CLOSE:
+                    return int(written)
+                return math.floor((value + math.pi) / (2.0 * math.pi))
+
+            return turn
 
         return tuple(
-            (number, turn_of(joint)) for number, joint in zip(values.turns, _TURNING, strict=True)
+            (number, turn_of(joint, number.value))
+            for number, joint in zip(values.turns, _TURNING, strict=True)
         )
 
 

@@ -77,8 +77,8 @@ _LENGTH_DECIMALS, _ANGLE_DECIMALS, _OLD_ANGLE_DECIMALS = 3, 4, 2
 #: Of seven joints the last of a job, E, is the third of the arm.
 _SEVEN = (0, 1, 6, 2, 3, 4, 5)
 
-#: So close to where configuration data change both solutions are possible [rad].
-_CLOSE = 1e-4
+#: Joint values so close to where configuration data change are of both, as the pose was rounded [rad].
+_CLOSE = 2e-4
 
 _DEG = math.pi / 180.0
 
@@ -442,7 +442,8 @@ class _Reader:
                 mask &= posture.is_elbow_up(q, up=not lower)
                 mask &= posture.is_front(q, front=not rear)
             for joint, is_turned in zip((3, 5, 0), turned, strict=True):
-                mask &= (np.abs(q[:, joint]) >= math.pi) == is_turned
+                beyond = np.abs(q[:, joint]) - math.pi
+                mask &= beyond > -_CLOSE if is_turned else beyond < _CLOSE
             return mask
 
         return allows

@@ -84,6 +84,6 @@ class NumberedFrames:
                 options.append(f'--{word} "{numbers[0]}=0 0 0 mm 0 0 0 deg"')
         raise MeasurementError(
             f"{self._path}: {' and '.join(what)} of the program must be stated, one option for each, "
-            f"{' and '.join(options)} (a rotation vector follows the position), or come from the controller's "
-            f"{self._files}, given with --data."
+            f"{' and '.join(options)} (a rotation vector after the position, or the maker's angles by --orientation), "
+            f"or come from the controller's {self._files}, given with --data."
         )
