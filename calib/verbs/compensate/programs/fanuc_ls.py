@@ -518,7 +518,7 @@ class _Reader:
             return ()
 
         def turn_of(joint: int, written: float) -> Callable[[Array], int]:
-            """Return the function from joint values to the turns of one joint, the written ones where they still hold."""
+            """Return the function from joint values to the turns of one joint: the written ones where they hold."""
 
             def turn(q: Array) -> int:
                 """Return the turns at joint values (6,) [rad]."""

@@ -236,8 +236,12 @@ def test_turns_follow_the_joint_values(stated: Stated) -> None:
     q = np.radians([10, 20, -30, 185, 60, -200])
     assert [number.value for number, _ in target.dependent] == [0, 1, -1]
     assert [function(q) for _, function in target.dependent] == [0, 1, -1]
-    q = np.radians([-181, 20, -30, 179.99, 60, 180.01])
+    q = np.radians([-181, 20, -30, 179.9, 60, 180.1])
     assert [function(q) for _, function in target.dependent] == [-1, 0, 1]
+    # The controller wrote a turn for joint 4 at 180 deg, which rounding of the pose puts just below.
+    q = np.radians([10, 20, -30, 179.995, 60, -200])
+    assert [function(q) for _, function in target.dependent] == [0, 1, -1]
+    assert target.configuration(q[None]).all()
 
 
 def test_what_a_controller_showed(tmp_path: Path) -> None:
