@@ -219,7 +219,8 @@ def _group(text: str, start: int, end: int, line_ends: list[int]) -> _Values:
     """Return one group of a position, which stands between two characters."""
     frame, tool = (pattern.search(text, start, end) for pattern in (_FRAME, _TOOL))
     config = _CONFIG.search(text, start, end)
-    letters, turns = "", ()
+    letters = ""
+    turns: tuple[NumberText, ...] = ()
     if config:
         head, comma, _ = config[1].partition(",")
         letters = "".join(head.split())
@@ -311,11 +312,11 @@ class _Reader:
         mode: LeftCode | None = "conveyor" if conveyor else None
         leads = self._leader_moves()
         for statement in self.statements:
-            for end, begin, code in _MODES:
+            for end, begin, of_mode in _MODES:
                 if end.match(statement.text):
                     mode = None
                 elif begin.match(statement.text):
-                    mode = code
+                    mode = of_mode
             motion = _MOTION.match(statement.text)
             if motion is None:
                 self._other(statement)
