@@ -10,7 +10,9 @@ from calib.errors import MeasurementError
 from calib.robot.robot import Robot
 from calib.verbs.compensate.programs.fanuc_ls import read
 from calib.verbs.compensate.programs.program_file import ProgramFile, Stated, Target
+from tests.verbs.compensate.arms import off
 from tests.verbs.compensate.programs.industrial_arm import FROM_HORIZONTAL, NAMES, industrial_arm
+from tests.verbs.compensate.programs.makers_files import run
 
 DATA = Path(__file__).parent / "data" / "fanuc"
 VARIABLES = DATA / "dumps" / "SYSFRAME.VA"
@@ -309,3 +311,38 @@ def test_a_data_file_that_has_no_frames_is_refused(tmp_path: Path) -> None:
     other.write_text("[*POSREG*]$POSREG  Storage: SHADOW\n")
     with pytest.raises(MeasurementError, match=r"posreg\.va"):
         read(DATA / "lines.ls", Stated(NAMES, data=(VARIABLES, other)))
+
+
+#: Programs with motions that are corrected; the search for all solutions of poses takes its time.
+SOME_SLOW = [
+    pytest.param(name, marks=[] if name in ("joints", "registers") else pytest.mark.slow)
+    for name, (moves, _) in PROGRAMS.items()
+    if moves
+]
+
+
+@pytest.mark.parametrize("name", SOME_SLOW)
+def test_without_errors_no_byte_changes(
+    name: str, robot: Robot, stated: Stated, tmp_path: Path
+) -> None:
+    path = DATA / f"{name}.ls"
+    result, away = run(path, stated, robot, robot, tmp_path)
+    assert result.texts[0].text.encode("latin-1") == path.read_bytes()
+    assert result.is_corrected.all()
+    assert away.max() < 1e-9
+
+
+@pytest.mark.parametrize("name", SOME_SLOW)
+def test_the_true_arm_arrives(name: str, robot: Robot, stated: Stated, tmp_path: Path) -> None:
+    path = DATA / f"{name}.ls"
+    result, away = run(path, stated, robot, off(robot, 3), tmp_path)
+    # Arms are 5 mm off. Lines of other numbers, comments and line ends stay.
+    assert away.max() < 2e-7
+    assert result.is_corrected.all()
+    before = path.read_bytes().decode("latin-1").split("\n")
+    after = result.texts[0].text.split("\n")
+    assert len(after) == len(before)
+    changed = [i for i, (old, new) in enumerate(zip(before, after, strict=True), 1) if old != new]
+    lines = {target.line for target in result.program.targets}
+    assert {line for line in lines if line in changed} == lines
+    assert len(changed) <= 3 * len(lines)

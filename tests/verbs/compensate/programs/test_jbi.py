@@ -10,7 +10,9 @@ from calib.errors import MeasurementError
 from calib.robot.robot import Robot
 from calib.verbs.compensate.programs.jbi import read
 from calib.verbs.compensate.programs.program_file import ProgramFile, Stated, Target
+from tests.verbs.compensate.arms import off
 from tests.verbs.compensate.programs.industrial_arm import NAMES, industrial_arm
+from tests.verbs.compensate.programs.makers_files import run
 
 DATA = Path(__file__).parent / "data" / "yaskawa"
 FILES = (DATA / "files" / "TOOL.CND", DATA / "files" / "UFRAME.CND")
@@ -288,3 +290,35 @@ def test_a_data_file_that_has_no_frames_is_refused(tmp_path: Path) -> None:
     other.write_text("/VAR\n//B\n")
     with pytest.raises(MeasurementError, match=r"VAR\.DAT"):
         read(DATA / "calls.jbi", Stated(NAMES, data=(other,), pulses=(1.0,) * 6))
+
+
+#: The search for all solutions of poses takes its time.
+QUICK = ("pulses", "angles", "groups", "frames")
+SOME_SLOW = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in JOBS]
+
+
+@pytest.mark.parametrize("name", SOME_SLOW)
+def test_without_errors_no_byte_changes(
+    name: str, robot: Robot, stated: Stated, tmp_path: Path
+) -> None:
+    path = DATA / f"{name}.jbi"
+    result, away = run(path, stated, robot, robot, tmp_path)
+    assert result.texts[0].text.encode("latin-1") == path.read_bytes()
+    assert result.is_corrected.all()
+    assert away.max() < 1e-9
+
+
+@pytest.mark.parametrize("name", SOME_SLOW)
+def test_the_true_arm_arrives(name: str, robot: Robot, stated: Stated, tmp_path: Path) -> None:
+    path = DATA / f"{name}.jbi"
+    result, away = run(path, stated, robot, off(robot, 3), tmp_path)
+    assert result.is_corrected.all()
+    for move, distance in zip(result.program.moves, away, strict=True):
+        target = result.program.targets[move.target]
+        in_pulses = target.numbers[0].most_decimals == 0
+        # Half a pulse of each joint, at 1.5 m; half a micrometre along each axis.
+        limit = 1.5 * np.radians(0.5 / np.abs(PULSES)).sum() if in_pulses else 1e-6
+        assert distance < limit
+        for number in target.numbers:
+            old = path.read_bytes().decode("latin-1")[number.start : number.end]
+            assert "." not in old or not in_pulses
