@@ -40,6 +40,8 @@ from calib.verbs.compensate.programs.program_file import (
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
+_WHOLE = re.compile(r"\d{1,9}")
+
 #: The first line of a program, after blanks.
 _HEAD = re.compile(r"\s*/PROG\b")
 _SECTION = re.compile(r"^/(MN|POS|END)\b[^\n]*$", re.MULTILINE)
@@ -79,13 +81,13 @@ _MODES: tuple[tuple[re.Pattern[str], re.Pattern[str], LeftCode], ...] = (
 )
 _LINE_TRACK = re.compile(r"LINE_TRACK_SCHEDULE_NUMBER\s*:\s*0*([1-9]\d*)")
 
-_ENTRY = re.compile(r'P\[\s*(\d+)\s*(?::\s*"[^"\n]*")?[^\]\n]*\]\s*\{')
-_GROUP = re.compile(r"\bGP(\d+)\s*:")
+_ENTRY = re.compile(r'P\[\s*(\d{1,9})\s*(?::\s*"[^"\n]*")?[^\]\n]*\]\s*\{')
+_GROUP = re.compile(r"\bGP(\d{1,9})\s*:")
 _FRAME = re.compile(r"\bUF\s*:\s*(\w+)")
 _TOOL = re.compile(r"\bUT\s*:\s*(\w+)")
 _CONFIG = re.compile(r"\b[CK]ONFIG\s*:\s*'([^']*)'")
-_TURNS = re.compile(r"[-+]?\d+")
-_VALUE = re.compile(rf"\b(R?[XYZWPR]|[JE]\d+)\s*=\s*(\*+|{_NUMBER})\s*(mm|deg)?")
+_TURNS = re.compile(r"[-+]?\d{1,9}")
+_VALUE = re.compile(rf"\b(R?[XYZWPR]|[JE]\d{{1,9}})\s*=\s*(\*+|{_NUMBER})\s*(mm|deg)?")
 
 _POSE = ("X", "Y", "Z", "W", "P", "R")
 _SCALES = {"mm": 1e-3, "deg": math.pi / 180.0}
@@ -164,6 +166,11 @@ def _without_names(text: str) -> str:
     return text
 
 
+def _plain(index: str) -> str:
+    """Return a number without leading zeros, or ``"*"`` for one that the program computes."""
+    return str(int(index)) if _WHOLE.fullmatch(index) else "*"
+
+
 # The positions
 
 
@@ -236,7 +243,7 @@ def _group(text: str, start: int, end: int, line_ends: list[int]) -> _Values:
         if not numbers:
             first = value.start()
         number = None
-        if value[2][0] != "*":
+        if value[2][0] != "*" and math.isfinite(float(value[2])):
             number = NumberText(value.start(2), value.end(2), float(value[2]))
         numbers[value[1]] = (number, value[3] or "")
     return _Values(
@@ -294,12 +301,11 @@ class _Reader:
         current: dict[str, set[str]] = {"UFRAME": set(), "UTOOL": set()}
         for statement in self.statements:
             for kind, index in _ASSIGNED.findall(statement.text):
-                first = index.split(",")[0].strip()
-                if first.startswith("GP"):
-                    first = index.split(",")[1].strip()
-                self.computed[kind].add(first if first.isdigit() else "*")
+                words = [word.strip() for word in index.split(",")]
+                first = words[1] if words[0].startswith("GP") and words[1:] else words[0]
+                self.computed[kind].add(_plain(first))
             for kind, index in _FRAME_SET.findall(statement.text):
-                self.computed[kind].add(index if index.isdigit() else "*")
+                self.computed[kind].add(_plain(index))
             for kind, number in _CURRENT.findall(statement.text):
                 current[kind].add(number)
         self.current = {
@@ -371,11 +377,12 @@ class _Reader:
         name = f"{what}[{index}]"
         if what == "PR":
             of_register: LeftCode = "other file"
-            if not index.isdigit() or self.computed["PR"] & {index, "*"}:
+            if self.computed["PR"] & {_plain(index), "*"} or _plain(index) == "*":
                 of_register = "computed"
             self.left.append(Left(0, line, code or of_register, name))
             return
-        if not index.isdigit():
+        index = _plain(index)
+        if index == "*":
             self.left.append(Left(0, line, code or "computed", name))
             return
         number = int(index)
@@ -455,16 +462,17 @@ class _Reader:
                 number,
             )
         tool = None
-        if values.tool.isdigit() and not self.computed["UTOOL"] & {values.tool, "*"}:
+        if not self.computed["UTOOL"] & {_plain(values.tool), "*"} and _plain(values.tool) != "*":
             tool = self.frames.tool(int(values.tool), needed=False)
         self._add_move(number, line, kind, tool, None)
         return None
 
     def _numbered(self, number: str, kind: str) -> tuple[Array | None, LeftCode | None]:
         """Return a tool or frame by its number, which ``F`` leaves to the program; or why it is not known."""
-        if not number.isdigit():
-            number = self.current[kind]
-        if not number.isdigit() or self.computed[kind] & {str(int(number)), "*"}:
+        number = _plain(number)
+        if number == "*":
+            number = _plain(self.current[kind])
+        if number == "*" or self.computed[kind] & {number, "*"}:
             return None, "computed"
         find: Callable[[int], Array | None] = (
             self.frames.frame if kind == "UFRAME" else self.frames.tool
@@ -541,7 +549,7 @@ class _Reader:
 
 _VARIABLE = re.compile(r"^\[\*SYSTEM\*\]\$(MNUFRAME|MNUTOOL)\s.*$", re.MULTILINE)
 _ELEMENT = re.compile(
-    r"\[(\d+)\s*,\s*(\d+)\]\s*=[^\n]*\n\s*Group:[^\n]*\n\s*"
+    r"\[(\d{1,9})\s*,\s*(\d{1,9})\]\s*=[^\n]*\n\s*Group:[^\n]*\n\s*"
     + r"\s*".join(rf"{name}:\s*({_NUMBER})" for name in _POSE[:3])
     + r"\s*"
     + r"\s*".join(rf"{name}:\s*({_NUMBER})" for name in _POSE[3:])
@@ -559,17 +567,17 @@ def _controller_frames(
     beside = sorted(file for file in path.parent.iterdir() if file.name.lower() == "sysframe.va")
     for file in [*beside, *stated.data]:
         text = read_bytes(file, "data file").decode("latin-1")
-        found = [*_of_variables(text, group), *_of_list(text)]
+        found = [*_of_variables(file, text, group), *_of_list(file, text)]
         if not found and file not in beside:
             raise MeasurementError(
                 f"{file} has no tools or frames of a FANUC controller: give SYSFRAME.VA or FRAME.DG with --data."
             )
         for kind, number, pose in found:
-            (tools if "TOOL" in kind.upper() else frames)[number] = pose
+            (tools if kind == "MNUTOOL" else frames)[number] = pose
     return tools, frames
 
 
-def _of_variables(text: str, group: int) -> Iterator[tuple[str, int, Array]]:
+def _of_variables(file: Path, text: str, group: int) -> Iterator[tuple[str, int, Array]]:
     """Yield the frames in the text of SYSFRAME.VA: kind, number, pose."""
     heads = list(_VARIABLE.finditer(text))
     for head in heads:
@@ -577,10 +585,10 @@ def _of_variables(text: str, group: int) -> Iterator[tuple[str, int, Array]]:
         for element in _ELEMENT.finditer(text, head.end(), len(text) if end < 0 else end):
             if int(element[1]) == group:
                 numbers = [float(value) for value in element.groups()[2:]]
-                yield head[1], int(element[2]), pose_of_numbers(numbers, "fanuc")
+                yield head[1], int(element[2]), pose_of_numbers(numbers, "fanuc", file)
 
 
-def _of_list(text: str) -> Iterator[tuple[str, int, Array]]:
+def _of_list(file: Path, text: str) -> Iterator[tuple[str, int, Array]]:
     """Yield the frames in the text of FRAME.DG, whose numbers are those of the rows; it has one decimal."""
     heads = list(_LIST.finditer(text))
     seen: set[str] = set()
@@ -591,8 +599,5 @@ def _of_list(text: str) -> Iterator[tuple[str, int, Array]]:
         end = heads[i + 1].start() if i + 1 < len(heads) else len(text)
         for number, row in enumerate(_LIST_ROW.finditer(text, head.end(), end), start=1):
             numbers = [float(value) for value in row[1].split()]
-            yield (
-                head[1] + "Frame" if head[1] == "User" else "Tool",
-                number,
-                pose_of_numbers(numbers, "fanuc"),
-            )
+            kind = "MNUTOOL" if head[1] == "Tool" else "MNUFRAME"
+            yield kind, number, pose_of_numbers(numbers, "fanuc", file)

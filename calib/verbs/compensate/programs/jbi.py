@@ -40,8 +40,9 @@ from calib.verbs.compensate.programs.program_file import (
 )
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
-_DATUM = re.compile(r"(C|BC|EC|P|BP|EX)(\d+)\s*=\s*(.*)")
+_DATUM = re.compile(r"(C|BC|EC|P|BP|EX)(\d{1,9})\s*=\s*(.*)")
 _NUMBERS = re.compile(_NUMBER)
+_WHOLE = re.compile(r"\d{1,9}")
 
 #: The first instructions of a line that moves the robot to positions, with any prefix.
 _MOTION = re.compile(r"(\+?)(S|SY|E|V|EI)?(I?MOV[A-Z]*)\b")
@@ -186,7 +187,7 @@ class _Reader:
                     self.instructions.append((number, _without_comment(row)))
                 continue
             word, _, rest = row.partition(" ")
-            values = [int(float(value)) for value in _NUMBERS.findall(rest)]
+            values = [int(value) for value in _WHOLE.findall(rest)]
             if word == "///TOOL" and values:
                 tool = values[0]
             elif word == "///USER" and values:
@@ -281,7 +282,7 @@ class _Reader:
             if kind == "C":
                 self.named.add(f"C{_plain(index)}")
                 self.left.append(Left(0, line, "not a motion", f"{word} {kind}{index}"))
-            elif _plain(index).isdigit():
+            elif _plain(index) != "*":
                 self.named.add(f"P{_plain(index)}")
 
     def _motion(self, line: int, row: str, code: LeftCode | None) -> None:
@@ -308,7 +309,7 @@ class _Reader:
             number = _plain(index)
             name = f"{kind[0]}{number}"
             why = code
-            if kind in ("C", "P") and number.isdigit():
+            if kind in ("C", "P") and number != "*":
                 self.named.add(name)
                 if why is None:
                     why = self._take(line, name, _MOTIONS[word], follows=prefix == "S")
@@ -367,6 +368,10 @@ class _Reader:
 
     def _check_count(self, datum: _Datum, count: int) -> None:
         """Refuse a position of another number of values, by a `MeasurementError`."""
+        if any(not math.isfinite(number.value) for number in datum.numbers):
+            raise MeasurementError(
+                f"{self.path}, line {datum.line}: position {datum.name} has a number that is too large."
+            )
         if len(datum.numbers) != count:
             what = "joints" if datum.form in ("PULSE", "ANGLE") else "numbers of a pose"
             raise MeasurementError(
@@ -452,7 +457,7 @@ class _Reader:
 def _plain(index: str) -> str:
     """Return a number without leading zeros, or ``"*"`` for one that the job computes."""
     index = index.strip()
-    return str(int(index)) if index.isdigit() else "*"
+    return str(int(index)) if _WHOLE.fullmatch(index) else "*"
 
 
 def _with_decimals(number: NumberText, decimals: int | None) -> NumberText:
@@ -485,30 +490,32 @@ def _controller_frames(path: Path, stated: Stated) -> tuple[dict[int, Array], di
             )
         for kind, number, rows in _entries(text):
             if kind == "TOOL":
-                tools.update(_tool_of(number, rows))
+                tools.update(_tool_of(file, number, rows))
             else:
-                frames.update(_frame_of(number, rows, frames))
+                frames.update(_frame_of(file, number, rows, frames))
     return tools, frames
 
 
 def _entries(text: str) -> Iterator[tuple[str, int, list[str]]]:
     """Yield the entries of TOOL.CND or UFRAME.CND: kind, number, lines."""
-    heads = list(re.finditer(r"^//(TOOL|UFRAME)\s+(\d+)[^\n]*$", text, re.MULTILINE))
+    heads = list(re.finditer(r"^//(TOOL|UFRAME)\s+(\d{1,9})[^\n]*$", text, re.MULTILINE))
     for i, head in enumerate(heads):
         end = heads[i + 1].start() if i + 1 < len(heads) else len(text)
         yield head[1], int(head[2]), [row.strip() for row in text[head.end() : end].split("\n")]
 
 
-def _tool_of(number: int, rows: list[str]) -> dict[int, Array]:
+def _tool_of(file: Path, number: int, rows: list[str]) -> dict[int, Array]:
     """Return the tool of an entry: its first line of six numbers."""
     for row in rows:
         values = [float(value) for value in _NUMBERS.findall(row)]
         if not row.startswith("/") and len(values) == 6:
-            return {number: pose_of_numbers(values, "yaskawa")}
+            return {number: pose_of_numbers(values, "yaskawa", file)}
     return {}
 
 
-def _frame_of(number: int, rows: list[str], frames: dict[int, Array]) -> dict[int, Array]:
+def _frame_of(
+    file: Path, number: int, rows: list[str], frames: dict[int, Array]
+) -> dict[int, Array]:
     """Return the frame of an entry in the base: BUSER in the frame that BASICFRM names; none if that moves."""
     T = np.eye(4)
     for row in rows:
@@ -521,5 +528,5 @@ def _frame_of(number: int, rows: list[str], frames: dict[int, Array]) -> dict[in
         elif word == "BASICFRM" and len(values) >= 2 and values[1] == 20:
             return {}
         elif word == "BUSER" and len(values) >= 6:
-            return {number: read_only(T @ pose_of_numbers(values, "yaskawa"))}
+            return {number: read_only(T @ pose_of_numbers(values, "yaskawa", file))}
     return {}

@@ -16,8 +16,22 @@ from calib.errors import MeasurementError, choices
 from calib.verbs.compensate.programs.program_file import Stated
 
 
-def pose_of_numbers(numbers: list[float], convention: str) -> Array:
-    """Return a pose, shape (4, 4), read-only [m], of x, y, z [mm] and three angles [deg] in a convention's order."""
+def pose_of_numbers(numbers: list[float], convention: str, file: Path) -> Array:
+    """Return a pose of a controller's file.
+
+    Args:
+        numbers: x, y, z [mm] and three angles [deg].
+        convention: Name of the convention of the angles.
+        file: The file, for messages.
+
+    Returns:
+        The pose, shape (4, 4), read-only [m].
+
+    Raises:
+        MeasurementError: A number is not finite.
+    """
+    if not np.isfinite(numbers).all():
+        raise MeasurementError(f"{file}: a tool or frame has a number that is too large.")
     T = np.eye(4)
     T[:3, 3] = np.array(numbers[:3]) * 1e-3
     T[:3, :3] = CONVENTIONS[convention].matrices(np.radians([numbers[3:6]]))[0]

@@ -295,13 +295,20 @@ def test_dumps_beside_a_program_are_read(tmp_path: Path) -> None:
         "map = (f, xs) --> [f x for x in xs]\n",
         "",
         "/PROG NOTHING\n/ATTR\n/END\n",
+        # A number that is none, an index of superscripts and one of many digits: left, and tool 1 is missing.
+        "/PROG ODD\n/MN\n1:L P[1] 1mm/sec FINE ;\n2:L P[\xb2] 1mm/sec FINE ;\n3:L P["
+        + "9" * 5000
+        + "] FINE ;\n"
+        "4:PR[GP1]=LPOS ;\n5:L P[2] 1mm/sec FINE ;\n/POS\nP[1]{\n GP1:\n UF : 0, UT : 0,\n X = 1e999 mm, Y = 0 mm, "
+        "Z = 0 mm, W = 0 deg, P = 0 deg, R = 0 deg\n};\nP[2]{\n GP1:\n UF : 0, UT : 1,\n X = 1 mm, Y = 0 mm, "
+        "Z = 0 mm, W = 0 deg, P = 0 deg, R = 0 deg\n};\n",
         "/PROG TWICE\n/MN\n/POS\nP[1]{\n};\nP[1]{\n};\n/END\n",
         "/PROG SEVEN\n/MN\n1:J P[1] 10% FINE ;\n/POS\nP[1]{\n GP1:\n UF : 0, UT : 0,\n J1 = 0 deg, J2 = 0 deg\n};\n",
     ],
 )
 def test_other_texts_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "some.ls"
-    path.write_text(text)
+    path.write_bytes(text.encode("latin-1"))
     with pytest.raises(MeasurementError, match=r"some\.ls"):
         read(path, Stated(NAMES))
 

@@ -18,11 +18,16 @@ def at(x: float) -> np.ndarray:
 
 
 def test_a_pose_of_numbers_is_in_millimetres_and_degrees_about_fixed_axes() -> None:
-    T = pose_of_numbers([100.0, -20.0, 3.0, 10.0, -20.0, 130.0], "fanuc")
+    T = pose_of_numbers([100.0, -20.0, 3.0, 10.0, -20.0, 130.0], "fanuc", Path("f"))
     turn = Rotation.from_euler("xyz", [10.0, -20.0, 130.0], degrees=True).as_matrix()
     assert np.allclose(T[:3, 3], [0.1, -0.02, 0.003], atol=1e-15)
     assert np.allclose(T[:3, :3], turn, atol=1e-15)
     assert not T.flags.writeable
+
+
+def test_a_pose_of_no_numbers_is_refused() -> None:
+    with pytest.raises(MeasurementError, match="f.va"):
+        pose_of_numbers([0.0, 0.0, 0.0, 0.0, 0.0, float("inf")], "fanuc", Path("f.va"))
 
 
 def test_what_is_stated_by_number_comes_before_files_and_these_before_what_is_stated_for_all() -> (
