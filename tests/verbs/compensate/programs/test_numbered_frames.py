@@ -26,7 +26,7 @@ def test_a_pose_of_numbers_is_in_millimetres_and_degrees_about_fixed_axes() -> N
 
 
 def test_a_pose_of_no_numbers_is_refused() -> None:
-    with pytest.raises(MeasurementError, match="f.va"):
+    with pytest.raises(MeasurementError, match=r"f\.va"):
         pose_of_numbers([0.0, 0.0, 0.0, 0.0, 0.0, float("inf")], "fanuc", Path("f.va"))
 
 
