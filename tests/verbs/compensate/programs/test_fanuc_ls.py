@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
 from calib.robot.robot import Robot
+from calib.verbs.compensate.programs.correction import corrected
 from calib.verbs.compensate.programs.fanuc_ls import read
 from calib.verbs.compensate.programs.program_file import ProgramFile, Stated, Target
 from tests.verbs.compensate.arms import off
@@ -353,3 +354,11 @@ def test_the_true_arm_arrives(name: str, robot: Robot, stated: Stated, tmp_path:
     lines = {target.line for target in result.program.targets}
     assert {line for line in lines if line in changed} == lines
     assert len(changed) <= 3 * len(lines)
+
+
+def test_a_program_without_motions_that_can_be_corrected_says_why(
+    robot: Robot, stated: Stated
+) -> None:
+    program = read(DATA / "conveyor.ls", stated)
+    with pytest.raises(MeasurementError, match=r"conveyor\.ls.*'conveyor'"):
+        corrected(program, robot, robot)
