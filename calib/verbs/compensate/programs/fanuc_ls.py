@@ -43,7 +43,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _WHOLE = re.compile(r"\d{1,9}")
 
 #: The first line of a program, after blanks.
-_HEAD = re.compile(r"\s*/PROG\b")
+_HEAD = re.compile(r"(?:\xef\xbb\xbf)?\s*/PROG\b")
 _SECTION = re.compile(r"^/(MN|POS|END)\b[^\n]*$", re.MULTILINE)
 
 #: What precedes a statement on its line: its number and a colon, or a colon alone.
@@ -55,11 +55,12 @@ _GROUP_INDEX = re.compile(r"\[\s*GP(\d+)\s*:")
 _INDEX_NAME = re.compile(r"\[([^\[\]:]*(?:\[[^\[\]]*\])?[^\[\]:]*):[^\[\]]*\]")
 
 _POSITION = r"(PR?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]"
-_MOTION = re.compile(rf"([JLCAS])\s+{_POSITION}\s*")
-_SECOND = re.compile(rf"{_POSITION}\s*")
-_PALLET = re.compile(r"[JLCAS]\s+PAL_\w*\[[^\]]*\]")
+#: ``@`` marks the position where the robot was when the text was made.
+_MOTION = re.compile(rf"([JLCAS])\s+@?{_POSITION}\s*", re.IGNORECASE)
+_SECOND = re.compile(rf"@?{_POSITION}\s*", re.IGNORECASE)
+_PALLET = re.compile(r"[JLCAS]\s+PAL_\w*\[[^\]]*\]", re.IGNORECASE)
 #: Something short and a position, which is none of the above: it may be a motion.
-_PERHAPS = re.compile(rf"(?:[A-Za-z]{{1,2}}|SPLINE)\s+{_POSITION}")
+_PERHAPS = re.compile(rf"(?:[A-Z]{{1,2}}|SPLINE)\s+{_POSITION}", re.IGNORECASE)
 
 _ASSIGNED = re.compile(rf"(?<![\w.$\]]){_POSITION}\s*=")
 _FRAME_SET = re.compile(r"(?<![\w.$])(UFRAME|UTOOL)\[\s*(?:GP\d+\s*,\s*)?(\w+)[^=]*\]\s*=")
@@ -338,7 +339,9 @@ class _Reader:
                 code = code or (why if pattern.search(rest) else None)
             follows = leads and re.search(r"\bCOORD\b", rest) is not None
             for kind, what, index in ends:
-                self._move(statement.line, kind, what, index.strip(), code, follows=follows)
+                self._move(
+                    statement.line, kind.upper(), what.upper(), index.strip(), code, follows=follows
+                )
         for number, groups in self.positions.items():
             if number not in self.named and self.group in groups:
                 line = groups[self.group].line

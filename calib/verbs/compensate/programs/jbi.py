@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import re
-from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,6 +42,9 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _DATUM = re.compile(r"(C|BC|EC|P|BP|EX)(\d{1,9})\s*=\s*(.*)")
 _NUMBERS = re.compile(_NUMBER)
 _WHOLE = re.compile(r"\d{1,9}")
+
+#: What editors of other systems put before UTF-8.
+_MARK = "\xef\xbb\xbf"
 
 #: The first instructions of a line that moves the robot to positions, with any prefix.
 _MOTION = re.compile(r"(\+?)(S|SY|E|V|EI)?(I?MOV[A-Z]*)\b")
@@ -98,9 +100,9 @@ def read(path: Path, stated: Stated) -> ProgramFile:
         MeasurementError: It is not a job, or a tool, a frame or pulses are not defined.
     """
     text = read_bytes(path, "program").decode("latin-1")
-    lines = _Lines(text)
-    heads = [line for line, _, row in lines.rows if row == "/JOB"]
-    first = next((row for _, _, row in lines.rows if row and not row.startswith("'")), "")
+    lines = _lines(text)
+    heads = [line for line, _, row in lines if row == "/JOB"]
+    first = next((row for _, _, row in lines if row and not row.startswith("'")), "")
     if first != "/JOB":
         raise MeasurementError(f"{path} is not a Yaskawa job: it does not begin with /JOB.")
     if len(heads) > 1:
@@ -110,24 +112,16 @@ def read(path: Path, stated: Stated) -> ProgramFile:
     return _Reader(path, text, stated, lines).program()
 
 
-class _Lines:
-    """The lines of a text."""
-
-    def __init__(self, text: str) -> None:
-        """Split the text."""
-        self.rows: list[tuple[int, int, str]] = []
-        self.starts: list[int] = []
-        position = 0
-        for number, row in enumerate(text.split("\n"), start=1):
-            self.starts.append(position)
-            # Where the line begins that is left without blanks at its ends.
-            start = position + len(row) - len(row.lstrip())
-            self.rows.append((number, start, row.strip()))
-            position += len(row) + 1
-
-    def at(self, position: int) -> int:
-        """Return the line of a character, from 1."""
-        return bisect_right(self.starts, position)
+def _lines(text: str) -> list[tuple[int, int, str]]:
+    """Return the lines of a text, without blanks at their ends: number, index of the first character, and text."""
+    rows: list[tuple[int, int, str]] = []
+    position = 0
+    for number, row in enumerate(text.split("\n"), start=1):
+        start = len(_MARK) if number == 1 and row.startswith(_MARK) else 0
+        inner = row[start:].lstrip()
+        rows.append((number, position + len(row) - len(inner), inner.rstrip()))
+        position += len(row) + 1
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +141,9 @@ class _Datum:
 class _Reader:
     """Reads one job."""
 
-    def __init__(self, path: Path, text: str, stated: Stated, lines: _Lines) -> None:
+    def __init__(
+        self, path: Path, text: str, stated: Stated, lines: list[tuple[int, int, str]]
+    ) -> None:
         """Read the positions, and find what the job changes as it runs."""
         self.path, self.text, self.stated = path, text, stated
         self.data: dict[str, _Datum] = {}
@@ -166,11 +162,11 @@ class _Reader:
         self.needs_pulses = False
         self._find_computed()
 
-    def _split(self, lines: _Lines) -> None:
+    def _split(self, lines: list[tuple[int, int, str]]) -> None:
         """Read the positions, and keep the instructions."""
         section, form, tool, user = "", "PULSE", 0, 0
         rconf: tuple[int, ...] = ()
-        for number, start, row in lines.rows:
+        for number, start, row in lines:
             if row.startswith("//") and not row.startswith("///") and section != "INST":
                 section = row[2:].split(" ")[0]
                 continue
@@ -466,9 +462,10 @@ def _with_decimals(number: NumberText, decimals: int | None) -> NumberText:
 
 
 def _without_comment(row: str) -> str:
-    """Return an instruction without the comment after it, and without strings."""
+    """Return an instruction in capital letters without the comment after it, and without strings."""
     row = re.sub(r'"[^"]*"', '""', row)
-    return re.split(r"\s//|\s'", row)[0].strip()
+    row = re.split(r"\s//|\s'", row)[0].strip().upper()
+    return "" if re.match(r"COMM\b", row) else row
 
 
 # The controller's files

@@ -101,7 +101,7 @@ JOBS: dict[str, tuple[list[tuple[int, str, str]], list[tuple[int, str, str]]]] =
         ],
     ),
     "comments": (
-        [(23, "C00000", "joint"), (24, "C00001", "joint"), (29, "C00002", "joint")],
+        [(23, "C00000", "joint"), (24, "C00001", "joint"), (30, "C00002", "joint")],
         [],
     ),
     "angles": (

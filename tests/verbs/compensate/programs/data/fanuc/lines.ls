@@ -22,7 +22,7 @@ CONTROL_CODE	= 00000000 00000000;
    9:  JMP LBL[1] ;
   10:  LBL[1:end] ;
   11:L P[2:above part] R[5:speed]mm/sec FINE PTH ;
-  12:J P[5:"home"] 20% CNT0 DA 10.0mm ;
+  12:J @P[5:"home"] 20% CNT0 DA 10.0mm ;
 /POS
 P[1]{
    GP1:

@@ -1,4 +1,4 @@
-/PROG untidy
+﻿/PROG untidy
 /ATTR
 COMMENT = "/MN is not here";
 /MN
@@ -7,7 +7,7 @@ COMMENT = "/MN is not here";
 : Weave Sine[5];
    2:  // L P[2] 100mm/sec FINE ;
 --eg:L P[2] 100mm/sec FINE
-2:L P[2] 100mm/sec FINE
+2:l p[2] 100mm/sec FINE
 3:L  P[3:see P1, or L 2] 100mm/sec FINE    ;
 4:  MESSAGE[L P[1] 100mm/sec] ;
 5:  CALL MOVE_TO('L P[2] 10mm/sec', P[2]) ;
