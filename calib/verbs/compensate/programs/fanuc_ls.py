@@ -514,12 +514,12 @@ class _Reader:
                 mask &= q[:, 4] < _CLOSE
             elif "F" in letters:
                 mask &= q[:, 4] > -_CLOSE
+            for joint, turn in zip(_TURNING, turns, strict=bool(turns)):
+                mask &= np.abs(q[:, joint] - 2.0 * math.pi * turn) < math.pi + _CLOSE
             if posture is not None and set(letters) & set("UD"):
                 mask &= posture.is_elbow_up(q, up="U" in letters)
             if posture is not None and set(letters) & set("TB"):
                 mask &= posture.is_front(q, front="T" in letters)
-            for joint, turn in zip(_TURNING, turns, strict=bool(turns)):
-                mask &= np.abs(q[:, joint] - 2.0 * math.pi * turn) < math.pi + _CLOSE
             return mask
 
         return allows
