@@ -54,15 +54,35 @@ class ArmPosture(Value):
             ),
         )
 
-    def is_front(self, q: Array, *, front: bool) -> Mask:
-        """Return whether the wrist is in front of axis 1, or behind it, at joint values (K, 6) [rad], shape (K,)."""
-        value = _measures(*_axes_at(self.robot, q))[0] * np.sign(self.at_zero[0])
-        return np.asarray(value > -_CLOSE if front else value < _CLOSE)
+    def agrees(self, q: Array, *, front: bool | None = None, up: bool | None = None) -> Mask:
+        """Return which joint values are of a posture.
 
-    def is_elbow_up(self, q: Array, *, up: bool) -> Mask:
-        """Return whether the elbow is up, or down, at joint values (K, 6) [rad], shape (K,)."""
-        value = _measures(*_axes_at(self.robot, q))[1] * np.sign(self.at_zero[1])
-        return np.asarray(value > -_CLOSE if up else value < _CLOSE)
+        Args:
+            q: Joint values, shape (K, 6) [rad].
+            front: Whether the wrist is in front of axis 1, or behind it; None: anywhere.
+            up: Whether the elbow is up, or down; None: anywhere.
+
+        Returns:
+            Shape (K,); True for both sides of what has no sign at zero.
+        """
+        mask = np.ones(len(q), dtype=bool)
+        for measure, at_zero, side in zip(self.signed(q), self.at_zero, (front, up), strict=True):
+            if side is not None:
+                value = measure * np.sign(at_zero)
+                mask &= value > -_CLOSE if side else value < _CLOSE
+        return mask
+
+    def signed(self, q: Array) -> tuple[Array, Array]:
+        """Return both measures of the module's text with the signs of the axes themselves.
+
+        Args:
+            q: Joint values, shape (K, 6) [rad].
+
+        Returns:
+            How far the wrist is in the direction of a_1 x a_2 from axis 1 [m], and the area at the elbow about a_2
+            [m^2], shape (K,) each.
+        """
+        return _measures(*_axes_at(self.robot, q))
 
 
 def _axes_at(robot: Robot, q: Array) -> tuple[Array, Array]:

@@ -409,7 +409,7 @@ class _Reader:
             return self._take_joints(number, values, line, kind)
         if any(name not in values.numbers for name in _POSE):
             remote = any(name in values.numbers for name in ("RX", "RY", "RZ"))
-            return "unread" if remote else "partial"
+            return "external tool" if remote else "partial"
         numbers = [values.numbers[name] for name in _POSE]
         if any(value is None for value, _ in numbers):
             return "partial"
@@ -505,6 +505,9 @@ class _Reader:
         if len(self.stated.joint_names) != 6 or not values.letters:
             return None
         letters, posture = values.letters, self.posture
+        up, front = (
+            yes in letters if {yes, no} & set(letters) else None for yes, no in ("UD", "TB")
+        )
         turns = [int(turn.value) for turn in values.turns] if len(values.turns) == 3 else []
 
         def allows(q: Array) -> Mask:
@@ -516,10 +519,8 @@ class _Reader:
                 mask &= q[:, 4] > -_CLOSE
             for joint, turn in zip(_TURNING, turns, strict=bool(turns)):
                 mask &= np.abs(q[:, joint] - 2.0 * math.pi * turn) < math.pi + _CLOSE
-            if posture is not None and set(letters) & set("UD"):
-                mask &= posture.is_elbow_up(q, up="U" in letters)
-            if posture is not None and set(letters) & set("TB"):
-                mask &= posture.is_front(q, front="T" in letters)
+            if posture is not None and mask.any():
+                mask &= posture.agrees(q, front=front, up=up)
             return mask
 
         return allows

@@ -439,12 +439,11 @@ class _Reader:
             # The cosine of R is above zero within a right angle of zero, and of whole turns.
             sign = np.cos(q[:, 3]) if old else q[:, 4]
             mask = np.asarray(sign < _CLOSE if no_flip else sign > -_CLOSE)
-            if posture is not None:
-                mask &= posture.is_elbow_up(q, up=not lower)
-                mask &= posture.is_front(q, front=not rear)
             for joint, is_turned in zip((3, 5, 0), turned, strict=True):
                 beyond = np.abs(q[:, joint]) - math.pi
                 mask &= beyond > -_CLOSE if is_turned else beyond < _CLOSE
+            if posture is not None and mask.any():
+                mask &= posture.agrees(q, front=not rear, up=not lower)
             return mask
 
         return allows

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from calib.verbs.compensate.programs.correction import CorrectedProgram, correct
 from calib.verbs.compensate.programs.dialects import read_program_file
 from calib.verbs.compensate.programs.nominal_values import nominal_values
 from calib.verbs.compensate.programs.program_file import ProgramFile, Stated
-from tests.verbs.compensate.programs.controller import Arm, joints
+from tests.verbs.compensate.programs.controller import Arm, rotation
 
 
 def run(
@@ -47,8 +46,14 @@ def _joint_values(
     """Values of the URDF's joints at each motion: the controller's readings may be coupled."""
     found = []
     for move, q in zip(program.moves, near, strict=True):
-        one = replace(program, moves=(move,))
-        is_pose = program.targets[move.target].convention is not None
-        (values,) = joints(arm, one, [nominal.input_values(q)[0]])
-        found.append(values if is_pose else nominal.input_values(values)[0])
+        target = program.targets[move.target]
+        numbers = np.array([number.value for number in target.numbers])
+        if target.convention is None:
+            found.append(nominal.input_values(numbers * target.scales)[0])
+            continue
+        T_frame_tool = np.eye(4)
+        T_frame_tool[:3, 3] = numbers[:3] * target.scales[:3]
+        T_frame_tool[:3, :3] = rotation(target.convention.name, numbers[3:])
+        T_base_tip = move.T_base_frame @ T_frame_tool @ np.linalg.inv(move.T_tip_tool)
+        found.append(arm.inverse(T_base_tip, nominal.input_values(q)[0]))
     return found

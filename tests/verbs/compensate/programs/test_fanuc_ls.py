@@ -103,7 +103,7 @@ PROGRAMS: dict[str, tuple[list[tuple[int, str, str]], list[tuple[int, str, str]]
     ),
     "german": (
         [(17, "P[1]", "joint"), (22, "P[2]", "linear"), (26, "P[1]", "linear")],
-        [(25, "relative", "P[3]"), (27, "search", "P[2]"), (28, "unread", "P[4]")],
+        [(25, "relative", "P[3]"), (27, "search", "P[2]"), (28, "external tool", "P[4]")],
     ),
     "untidy": (
         [(6, "P[1]", "linear"), (10, "P[2]", "linear"), (11, "P[3]", "linear")],
