@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import calib
@@ -19,6 +20,8 @@ from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.ur_models import ur_model
 from calib.verbs.compensate.program_table import read_program
+from calib.verbs.compensate.programs.dialects import read_program_file
+from calib.verbs.compensate.programs.program_file import Stated
 from calib.verbs.convert.convert import KINDS, source_kind
 from calib.verbs.convert.format import Options
 from calib.verbs.convert.ur_files import kinematics_bytes
@@ -54,6 +57,22 @@ def factory(path: Path) -> object:
 
 def program(path: Path) -> object:
     return read_program(path, calib.Robot.load(ARM, "base", "tool0"))
+
+
+def robot_program(path: Path) -> object:
+    """A program of a robot that is stated in full, or not at all."""
+    names = tuple(f"joint_{j}" for j in range(1, 7))
+    pose = np.eye(4)
+    stated = Stated(names, {"": pose}, {"": pose}, pulses=(1e5,) * 6)
+    with contextlib.suppress(CalibError):
+        read_program_file(path, Stated(names))
+    return read_program_file(path, stated)
+
+
+def programs(maker: str, ending: str):
+    """The programs of a maker among the tests' data."""
+    folder = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data" / maker
+    return lambda _: [path.read_bytes() for path in sorted(folder.glob(f"*{ending}"))]
 
 
 def cells(_: Path) -> list[bytes]:
@@ -104,6 +123,8 @@ READERS = [
     ("k.yaml", factory, made("convert xarm6 --to ufactory-yaml -o k.yaml")),
     ("u.yaml", factory, lambda _: [b"/left/driver:\n  " + UR.replace(b"\n", b"\n  "), UR]),
     ("m.json", Motors.read, lambda _: [MOTORS]),
+    ("p.ls", robot_program, programs("fanuc", ".ls")),
+    ("p.jbi", robot_program, programs("yaskawa", ".jbi")),
 ]
 
 

@@ -131,6 +131,12 @@ def corrected(
         VerdictError: That verdict is ``do not use``, and it is not accepted.
         ModelError: Models that do not fit each other, or a start that does not fit the robot.
     """
+    if not program.moves:
+        why = choices(sorted({item.code for item in program.left}))
+        raise MeasurementError(
+            f"{program.texts[0].path}: the program has no motion that can be corrected"
+            + (f" ({why}, see docs/programs.md)." if why else ".")
+        )
     values = nominal_values(nominal, program, start)
     known = np.flatnonzero([missing is None for missing in values.missing])
     if not len(known):

@@ -44,10 +44,10 @@ def test_front_and_elbow_are_those_of_the_plane(
     forearm = wrist - elbow
     up = elbow[:, 1] * forearm[:, 0] - elbow[:, 0] * forearm[:, 1] > 0.0
     assert posture is not None
-    assert np.array_equal(posture.is_front(q, front=True), front)
-    assert np.array_equal(posture.is_front(q, front=False), ~front)
-    assert np.array_equal(posture.is_elbow_up(q, up=True), up)
-    assert np.array_equal(posture.is_elbow_up(q, up=False), ~up)
+    assert np.array_equal(posture.agrees(q, front=True), front)
+    assert np.array_equal(posture.agrees(q, front=False), ~front)
+    assert np.array_equal(posture.agrees(q, up=True), up)
+    assert np.array_equal(posture.agrees(q, up=False), ~up)
     assert 30 < front.sum() < 270
     assert 30 < up.sum() < 270
 
@@ -56,8 +56,8 @@ def test_an_arm_that_is_stretched_at_zero_has_no_postures_to_choose_from(q: np.n
     posture = ArmPosture.of(Robot.load(paper_urdf(), base="base", tip="tool0"))
     assert posture is not None
     assert posture.at_zero[1] == 0.0
-    assert posture.is_elbow_up(q, up=True).all()
-    assert posture.is_elbow_up(q, up=False).all()
+    assert posture.agrees(q, up=True).all()
+    assert posture.agrees(q, up=False).all()
 
 
 def test_other_arms_have_none(tmp_path: Path) -> None:
