@@ -60,32 +60,20 @@ def program(path: Path) -> object:
 
 
 def robot_program(path: Path) -> object:
-<<<<<<< HEAD
-    """A program of a robot that is stated in full, or not at all."""
-    names = tuple(f"joint_{j}" for j in range(1, 7))
-    pose = np.eye(4)
-    stated = Stated(names, {"": pose}, {"": pose}, pulses=(1e5,) * 6)
-    with contextlib.suppress(CalibError):
-        read_program_file(path, Stated(names))
-    return read_program_file(path, stated)
-
-
-def programs(maker: str, ending: str):
-    """The programs of a maker among the tests' data."""
-    folder = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data" / maker
-    return lambda _: [path.read_bytes() for path in sorted(folder.glob(f"*{ending}"))]
-=======
-    """A program in its maker's language, also beside a whole data list."""
+    """A program in its maker's language, of which nothing is stated, and all."""
     robot = calib.Robot.load(ARM, "base", "tool0")
     tip = {"": np.eye(4)}
-    return read_program_file(path, Stated(robot.joint_names, tip, tip, robot=robot))
+    with contextlib.suppress(CalibError):
+        read_program_file(path, Stated(robot.joint_names, robot=robot))
+    return read_program_file(
+        path, Stated(robot.joint_names, tip, tip, pulses=(1e5,) * 6, robot=robot)
+    )
 
 
 def programs_of(pattern: str):
     """The programs of the tests of a dialect, by a pattern of their paths."""
     folder = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data"
     return lambda _: [path.read_bytes() for path in sorted(folder.glob(pattern))]
->>>>>>> krl
 
 
 def cells(_: Path) -> list[bytes]:
@@ -133,16 +121,13 @@ READERS = [
     ("r.json", convert, results),
     ("o.yaml", convert, lambda _: [p.read_bytes() for p in ROOT.glob("urdf/*.yaml")]),
     ("w.json", read_region, made(WORKSPACE)),
-<<<<<<< HEAD
     ("k.yaml", factory, made("convert xarm6 --to ufactory-yaml -o k.yaml")),
     ("u.yaml", factory, lambda _: [b"/left/driver:\n  " + UR.replace(b"\n", b"\n  "), UR]),
     ("m.json", Motors.read, lambda _: [MOTORS]),
-    ("p.ls", robot_program, programs("fanuc", ".ls")),
-    ("p.jbi", robot_program, programs("yaskawa", ".jbi")),
-=======
+    ("p.ls", robot_program, programs_of("fanuc/*.ls")),
+    ("p.jbi", robot_program, programs_of("yaskawa/*.jbi")),
     ("k.src", robot_program, programs_of("kuka/*.src")),
     ("k.SRC", robot_program, programs_of("kuka/*.dat")),
->>>>>>> krl
 ]
 
 
