@@ -57,7 +57,7 @@ def examples():
     """The tables and lists that docs/data-format.md shows, in its order."""
     page = ROOT / "docs" / "data-format.md"
     blocks = page.read_text(encoding="utf-8").split("```")[1::2]
-    return [block.strip() for block in blocks if not block.startswith("python")]
+    return [block.strip() for block in blocks if not block.startswith(("python", "sh"))]
 
 
 #: Standard deviations that a table may state.
