@@ -30,8 +30,8 @@ def test_report_and_figures_are_written_and_named(examples):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--report", "r.md"), "'r.md': a report is a page; let the name end in .html."),
-        (("--report", "-"), "'-': a report is a page; let the name end in .html."),
+        (("--report", "r.md"), "'r.md': a report is a page or a PDF; let the name end in"),
+        (("--report", "-"), "'-': a report is a page or a PDF; let the name end in"),
         (
             ("--report", "none/r.html"),
             "does not exist; create it",

@@ -91,7 +91,7 @@ def test_python_writes_what_the_command_line_writes(ur3: Robot, tmp_path: Path):
     with pytest.raises(FileError, match="exists already"):
         evaluation.write_report(path)
     with pytest.raises(FileError, match=r"let the name end in \.html"):
-        evaluation.write_report(tmp_path / "test.pdf")
+        evaluation.write_report(tmp_path / "test.md")
     with pytest.raises(ArgumentError, match="accepted"):
         evaluation.write_report(tmp_path / "other.html", accepted="pass")
 
