@@ -190,6 +190,10 @@ def corrected(
             first = program.moves[moves[0]]
             left.append(Left(first.file, first.line, "shared", target.name))
             continue
+        if not turns and _leaves_configuration(program, target, moves, values.q, q):
+            first = program.moves[moves[0]]
+            left.append(Left(first.file, first.line, "configuration", target.name))
+            continue
         final = edits.write(target, mean, written, nominal)
         for dependent, new in turns:
             edits.replace(
@@ -371,6 +375,17 @@ def _dependent(
         if value != number.value:
             changes.append((number, value))
     return changes
+
+
+def _leaves_configuration(
+    program: ProgramFile, target: Target, moves: list[int], q_nominal: Array, q: Array
+) -> bool:
+    """Return whether a motion by joints would end in another configuration, where the controller turns a joint far."""
+    allows = target.configuration
+    by_joints = [i for i in moves if program.moves[i].motion == "joint"]
+    if allows is None or not by_joints:
+        return False
+    return bool(np.any(allows(q_nominal[by_joints]) & ~allows(q[by_joints])))
 
 
 def _poses(commands: Commands, contents: Sequence[Array]) -> Array:

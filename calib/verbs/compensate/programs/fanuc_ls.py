@@ -66,6 +66,9 @@ _ASSIGNED = re.compile(rf"(?<![\w.$\]]){_POSITION}\s*=")
 _FRAME_SET = re.compile(r"(?<![\w.$])(UFRAME|UTOOL)\[\s*(?:GP\d+\s*,\s*)?(\w+)[^=]*\]\s*=")
 _CURRENT = re.compile(r"(?<![\w.$])(UFRAME|UTOOL)_NUM\s*(?:\[[^\]]*\]\s*)?=\s*([^\s;]+)")
 
+#: A program that is called near the end of a motion.
+_CALL = re.compile(r"\bCALL\s+\w+\s*(?:\([^()]*\))?", re.IGNORECASE)
+
 #: Options of a motion, in several of the controller's languages, and why its target is not where it goes.
 _OPTIONS: tuple[tuple[re.Pattern[str], LeftCode], ...] = (
     (re.compile(r"\bINC\b", re.IGNORECASE), "relative"),
@@ -335,6 +338,7 @@ class _Reader:
                 ends.append((motion[1], second[1], second[2]))
                 rest = rest[second.end() :]
             code = mode
+            rest = _CALL.sub("", rest)
             for pattern, why in _OPTIONS:
                 code = code or (why if pattern.search(rest) else None)
             follows = leads and re.search(r"\bCOORD\b", rest) is not None

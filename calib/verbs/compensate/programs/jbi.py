@@ -176,13 +176,14 @@ class _Reader:
                     self.robot_group = groups[0].startswith("RB")
                     self.base_axes = any(group.startswith("BS") for group in groups)
                 elif row and not row.startswith(("'", "//")):
-                    self.instructions.append((number, _without_comment(row)))
+                    self._instruct(number, row)
                 continue
             if section != "POS":
                 if not section and row and not row.startswith(("'", "/")):
-                    self.instructions.append((number, _without_comment(row)))
+                    self._instruct(number, row)
                 continue
-            word, _, rest = row.partition(" ")
+            word, *further = row.split(None, 1) or [""]
+            rest = further[0] if further else ""
             values = [int(value) for value in _WHOLE.findall(rest)]
             if word == "///TOOL" and values:
                 tool = values[0]
@@ -194,6 +195,12 @@ class _Reader:
                 rconf = tuple(values)
             elif row and not row.startswith(("'", "/")):
                 self._datum(number, start, row, form, tool, user, rconf)
+
+    def _instruct(self, line: int, row: str) -> None:
+        """Take a line with an instruction, if there is one beside comments."""
+        instruction = _without_comment(row)
+        if instruction:
+            self.instructions.append((line, instruction))
 
     def _datum(
         self,
@@ -208,7 +215,7 @@ class _Reader:
         """Take a line of a position, or an instruction, of a job without //INST."""
         match = _DATUM.fullmatch(row)
         if match is None:
-            self.instructions.append((line, _without_comment(row)))
+            self._instruct(line, row)
             return
         if match[1] not in ("C", "P"):
             return
@@ -229,7 +236,8 @@ class _Reader:
         """Find the variables, frames and tools that the job may change; ``"*"`` is any of them."""
         self.computed: dict[str, set[str]] = {"P": set(), "UF": set(), "TL": set(), "STEP": set()}
         for _, row in self.instructions:
-            word, _, rest = row.partition(" ")
+            word, *further = row.split(None, 1)
+            rest = further[0] if further else ""
             if _MOTION.match(row):
                 continue
             if _OTHER_JOBS.match(row):
@@ -246,7 +254,7 @@ class _Reader:
         shifted = False
         step = 0
         for line, row in self.instructions:
-            word = row.split(" ")[0]
+            word = row.split()[0]
             if word in ("SFTON", "SSFTON"):
                 shifted = True
             elif word in ("SFTOF", "SSFTOF"):
@@ -301,10 +309,10 @@ class _Reader:
             code = "group"
         elif not positions:
             code = "external axes" if _EXTERNAL.search(row) else "partial"
-        for kind, index in positions[:1] if code is None else positions:
+        for place, (kind, index) in enumerate(positions):
             number = _plain(index)
             name = f"{kind[0]}{number}"
-            why = code
+            why = "group" if code is None and place else code
             if kind in ("C", "P") and number != "*":
                 self.named.add(name)
                 if why is None:

@@ -45,7 +45,8 @@ relative        a motion by an offset from where the robot is, or from another t
 computed        the target is made, or changed, by the program as it runs
 partial         some of the target's numbers are left out, and stay those of the motion before
 shared          motions with other tools, frames or approaches go to the same target, and need other numbers
-configuration   no joint values of the nominal robot at the target agree with its configuration data
+configuration   no joint values of the nominal robot at the target agree with its configuration data, or the corrected
+                ones do not
 external axes   a track or positioner that is not in the URDF takes part in the motion
 external tool   the tool stands still, and the robot carries the part
 other file      the target's numbers stand in a file that was not given

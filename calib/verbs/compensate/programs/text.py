@@ -33,7 +33,7 @@ _LEFT: dict[LeftCode, str] = {
     "partial": "numbers that are left out stay those of the motion before",
     "shared": "the motions that go to this target need different numbers",
     "configuration": "no joint values of the nominal robot agree with the configuration data, here or before, at a "
-    "target that this one follows",
+    "target that this one follows; or the corrected ones do not",
     "external axes": "an axis moves that is not in the URDF",
     "external tool": "the tool stands still, and the robot carries the part",
     "other file": "the target's numbers are not in the files given (--data)",

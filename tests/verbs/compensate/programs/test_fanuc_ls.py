@@ -362,3 +362,22 @@ def test_a_program_without_motions_that_can_be_corrected_says_why(
     program = read(DATA / "conveyor.ls", stated)
     with pytest.raises(MeasurementError, match=r"conveyor\.ls.*'conveyor'"):
         corrected(program, robot, robot)
+
+
+@pytest.mark.slow
+def test_a_correction_beyond_half_a_turn_changes_the_turn(
+    robot: Robot, stated: Stated, tmp_path: Path
+) -> None:
+    """Joint 6 at 179.9 deg, of which one of two corrections leads over 180 deg."""
+    text = (DATA / "turns.ls").read_text()
+    for line in ("J P[3]", "J P[4]", "L P[1]"):
+        text = text.replace(line, f"!{line}")
+    path = tmp_path / "turns.ls"
+    path.write_text(text)
+    turns = set()
+    for seed in range(4):
+        result, away = run(path, stated, robot, off(robot, seed), tmp_path.parent)
+        assert away.max() < 2e-7
+        line = result.texts[0].text.split("P[1]{")[1].split("\n")[2]
+        turns.add(line.split("'")[1])
+    assert turns == {"N U T, 0, 0, 0", "N U T, 0, 0, 1"}

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
 from calib.robot.robot import Robot
+from calib.verbs.compensate.programs.correction import corrected
 from calib.verbs.compensate.programs.jbi import read
 from calib.verbs.compensate.programs.program_file import ProgramFile, Stated, Target
 from tests.verbs.compensate.arms import off
@@ -322,3 +323,28 @@ def test_the_true_arm_arrives(name: str, robot: Robot, stated: Stated, tmp_path:
         for number in target.numbers:
             old = path.read_bytes().decode("latin-1")[number.start : number.end]
             assert "." not in old or not in_pulses
+
+
+@pytest.mark.slow
+def test_a_correction_to_another_configuration_is_none(
+    robot: Robot, stated: Stated, tmp_path: Path
+) -> None:
+    """Joint T is close to half a turn: RCONF, which holds for several positions, would have to change."""
+    left = []
+    for degrees in (179.9, -179.9):
+        q = np.radians([10, 5, -15, 20, -60, degrees])
+        T = robot.poses(q)[0]
+        angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
+        values = ",".join(f"{value:.4f}" for value in [*(T[:3, 3] * 1e3), *angles])
+        for word in ("MOVJ C00001 VJ=1.00", "MOVL C00001 V=1.0"):
+            pulses = ",".join(f"{value:.0f}" for value in np.degrees(q) * PULSES)
+            path = tmp_path / "near.jbi"
+            path.write_text(
+                "/JOB\n//NAME NEAR\n//POS\n///NPOS 2,0,0,0,0,0\n///TOOL 0\n///POSTYPE PULSE\n///PULSE\n"
+                f"C00000={pulses}\n///POSTYPE ROBOT\n///RECTAN\n///RCONF {','.join('1' + '0' * 23)}\n"
+                f"C00001={values}\n//INST\n///GROUP1 RB1\nNOP\nMOVJ C00000 VJ=1.00\n{word}\nEND\n"
+            )
+            result = corrected(read(path, stated), robot, off(robot, 3))
+            left.append([(item.line, item.code) for item in result.left])
+    # Of the two only one goes over half a turn; on a line the controller goes on as it is.
+    assert sorted(left) == [[], [], [], [(17, "configuration")]]
