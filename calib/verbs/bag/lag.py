@@ -209,17 +209,16 @@ def _shifts_of_paths(joints: JointStream, points: PointStream, robot: Robot | No
         U, p = A @ toward, positions[inside]
         freedom = max(count - toward.shape[1], 1)
         cost[k] = np.sum((p - U @ (U.T @ p)) ** 2) / (3 * freedom)
-    p = positions
-    if cost.min() > _EXPLAINED * np.mean((p - p.mean(axis=0)) ** 2):
-        return []
     lowest = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] < cost[2:])) + 1
+    variance = float(np.mean((positions - positions.mean(axis=0)) ** 2))
+    if not len(lowest) or cost[lowest].min() > _EXPLAINED * variance:
+        return []
     lowest = lowest[cost[lowest] < _WORTH_REFINING * cost[lowest].min()]
     return [float(lags[k]) for k in lowest[np.argsort(cost[lowest])][:3]]
 
 
 #: Lags whose squares are less than this times the least ones may be the best when they are refined.
 _WORTH_REFINING = 4.0
-
 
 #: Lags are tried at this distance [s].
 _SCAN = 0.1
