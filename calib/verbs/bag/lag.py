@@ -188,34 +188,37 @@ _LEAST_CORRELATION = 0.2
 
 def _shifts_of_paths(joints: JointStream, points: PointStream, robot: Robot | None) -> list[float]:
     """Return up to three lags at which the points are a function of the joint values, the best first [s]."""
-    begin, end = joints.times[0] + LARGEST, joints.times[-1] - LARGEST
-    index = np.flatnonzero((points.times >= begin) & (points.times <= end))
-    if len(index) < _FEWEST_POINTS:
+    every = len(points.times) // _POINTS_OF_SCAN + 1
+    times, positions = points.times[::every], points.positions[::every]
+    if len(times) < _FEWEST_POINTS:
         return []
-    index = index[:: len(index) // _POINTS_OF_SCAN + 1]
     if robot is not None:
         terms = _kinematic_terms(robot)
     else:
-        terms = _arm_terms(joints.at(points.times[index]), min(_TERMS_OF_SCAN, len(index) // 8))
-    p = points.positions[index]
+        terms = _arm_terms(joints.at(times), min(_TERMS_OF_SCAN, len(times) // 8))
     most = round(LARGEST / _SCAN)
     lags = _SCAN * np.arange(-most, most + 1)
-    costs = []
-    for lag in lags:
-        A = terms(joints.at(points.times[index] - lag))
-        U = A @ _toward_basis(A)
-        costs.append(np.mean((p - U @ (U.T @ p)) ** 2))
-    cost = np.array(costs)
-    if cost.min() > _EXPLAINED * np.mean((p - p.mean(axis=0)) ** 2):
-        return []
+    cost = np.full(len(lags), np.inf)
+    for k, lag in enumerate(lags):
+        inside = (times - lag >= joints.times[0]) & (times - lag <= joints.times[-1])
+        count = int(inside.sum())
+        if count < max(len(times) // 2, _FEWEST_POINTS):
+            continue
+        A = terms(joints.at(times[inside] - lag))
+        toward = _toward_basis(A)
+        U, p = A @ toward, positions[inside]
+        freedom = max(count - toward.shape[1], 1)
+        cost[k] = np.sum((p - U @ (U.T @ p)) ** 2) / (3 * freedom)
     lowest = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] < cost[2:])) + 1
+    variance = float(np.mean((positions - positions.mean(axis=0)) ** 2))
+    if not len(lowest) or cost[lowest].min() > _EXPLAINED * variance:
+        return []
     lowest = lowest[cost[lowest] < _WORTH_REFINING * cost[lowest].min()]
     return [float(lags[k]) for k in lowest[np.argsort(cost[lowest])][:3]]
 
 
 #: Lags whose squares are less than this times the least ones may be the best when they are refined.
 _WORTH_REFINING = 4.0
-
 
 #: Lags are tried at this distance [s].
 _SCAN = 0.1

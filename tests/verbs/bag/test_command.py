@@ -18,7 +18,7 @@ def run_mcap(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(1)
     robot = Robot.load("ur5", base="base_link", tip="tool0")
     motion = stop_and_go(rng, stops=10, rest=1.5)
-    joints, points = streams(motion, robot, rng, 0.2, point_rate=50.0)
+    joints, points = streams(motion, robot, rng, 0.2, joint_rate=60.0, point_rate=40.0)
     m = Messages("mcap")
 
     def pictures():
