@@ -94,7 +94,7 @@ class Record:
         "uncertainty_from", "Source of the measurement uncertainty: a certificate, a budget."
     )
     place: str = _entry("place", "Where the robot was measured.")
-    date: str = _entry("date", "When it was measured.")
+    date: str = _entry("date", "When it was measured; histories read 2026-03-01.")
     #: [°C], one, or those at the start and at the end; empty: not given
     temperature_C: tuple[float, ...] = key(
         "temperature_C",

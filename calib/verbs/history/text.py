@@ -65,6 +65,12 @@ def _robots(history: History) -> Iterator[Block]:
     count = sum(map(len, history.robots.values()))
     robots = plural(len(history.robots), "robot")
     yield Paragraph(f"{robots} with {plural(count, 'calibration')} in {history.folder}")
+    if not count:
+        yield Paragraph(
+            "No result file of a robot with a serial number is there. Results are written by 'calib calibrate --json' "
+            "and 'calib fleet'; the serial number is [record] robot_serial in the cell file, or column serial of a "
+            "fleet's manifest."
+        )
     columns = [
         name_column("robot"),
         Column("calibrations"),

@@ -16,6 +16,14 @@ def test_a_robot_without_a_valid_calibration_says_why(tmp_path):
     assert "never" in history(tmp_path).summary("A")
 
 
+def test_a_folder_without_results_says_where_they_come_from(tmp_path):
+    (tmp_path / "other.json").write_text('{"version": 1}')
+    text = history(tmp_path).summary()
+    assert text.startswith("0 robots with 0 calibrations")
+    assert "calib calibrate --json" in " ".join(text.split())
+    assert "Notes:" not in text
+
+
 def test_dates_say_where_they_are_from(tmp_path):
     put(tmp_path, "1.json", result(1, time="2026-01-02T03:04:05Z"))
     text = history(tmp_path).summary("A")
