@@ -1,0 +1,74 @@
+"""In which states the statements of a program may run: what is set on the way to them, through branches, loops, calls.
+
+A state holds the values that each setting of a controller may have at a statement, such as the tools that can be
+active. Where ways meet, the values of both are possible. Loops are gone through until nothing more is possible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeAlias, TypeVar
+
+Item = TypeVar("Item")
+
+#: Possible values of each setting by its name; None: nothing runs here, as after a RETURN.
+State: TypeAlias = "Mapping[str, frozenset[Hashable]] | None"
+
+
+@dataclass(frozen=True, slots=True)
+class Branch(Generic[Item]):
+    """Ways of which one is gone; an empty one if none may be."""
+
+    ways: tuple[tuple[Node[Item], ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Loop(Generic[Item]):
+    """Statements that run any number of times."""
+
+    body: tuple[Node[Item], ...]
+
+
+Node: TypeAlias = "Item | Branch[Item] | Loop[Item]"
+
+
+def join(states: Iterable[State]) -> State:
+    """Return the state where ways with these states meet: a setting has any of their values."""
+    merged: dict[str, frozenset[Hashable]] | None = None
+    for state in states:
+        if state is None:
+            continue
+        if merged is None:
+            merged = dict(state)
+            continue
+        for name, values in state.items():
+            merged[name] = merged.get(name, frozenset()) | values
+    return merged
+
+
+def walk(nodes: Sequence[Node[Item]], state: State, run: Callable[[Item, State], State]) -> State:
+    """Run statements in all states in which they may run.
+
+    Args:
+        nodes: The statements in the order of the text.
+        state: The state in which the first one runs.
+        run: Runs one statement in a state, and returns the state after it. Statements that nothing reaches are run in
+            the state None.
+
+    Returns:
+        The state after the last one.
+    """
+    for node in nodes:
+        if isinstance(node, Branch):
+            state = join([walk(way, state, run) for way in node.ways])
+        elif isinstance(node, Loop):
+            before = None
+            while before != state or before is None:
+                before = state
+                state = join([state, walk(node.body, state, run)])
+                if state is None:
+                    break
+        else:
+            state = run(node, state)
+    return state
