@@ -1,7 +1,7 @@
 """In which states the statements of a program may run: what is set on the way to them, through branches, loops, calls.
 
 A state holds the values that each setting of a controller may have at a statement, such as the tools that can be
-active. Where ways meet, the values of both are possible. Loops are gone through until nothing more is possible.
+active. Where ways meet, the values of both are possible. Loops are gone through until no more values are possible.
 """
 
 from __future__ import annotations
@@ -47,28 +47,35 @@ def join(states: Iterable[State]) -> State:
     return merged
 
 
-def walk(nodes: Sequence[Node[Item]], state: State, run: Callable[[Item, State], State]) -> State:
+def walk(
+    nodes: Sequence[Node[Item]],
+    state: State,
+    run: Callable[[Item, State, bool], State],
+    *,
+    is_trial: bool = False,
+) -> State:
     """Run statements in all states in which they may run.
 
     Args:
         nodes: The statements in the order of the text.
         state: The state in which the first one runs.
         run: Runs one statement in a state, and returns the state after it. Statements that nothing reaches are run in
-            the state None.
+            the state None. The last argument says whether this is a trial: in a loop the state is not yet all that is
+            possible there, and the statement will run again.
+        is_trial: Whether all of this is a trial.
 
     Returns:
         The state after the last one.
     """
     for node in nodes:
         if isinstance(node, Branch):
-            state = join([walk(way, state, run) for way in node.ways])
+            state = join([walk(way, state, run, is_trial=is_trial) for way in node.ways])
         elif isinstance(node, Loop):
-            before = None
-            while before != state or before is None:
-                before = state
-                state = join([state, walk(node.body, state, run)])
-                if state is None:
-                    break
+            merged = join([state, walk(node.body, state, run, is_trial=True)])
+            while merged != state:
+                state = merged
+                merged = join([state, walk(node.body, state, run, is_trial=True)])
+            walk(node.body, state, run, is_trial=is_trial)
         else:
-            state = run(node, state)
+            state = run(node, state, is_trial)
     return state

@@ -467,7 +467,7 @@ class _Program:
         while before is None or before != labels:
             before = dict(labels)
 
-            def run(statement: Statement, now: State) -> State:
+            def run(statement: Statement, now: State, _: bool) -> State:
                 return self._step(statement, now, scope, labels, exits, depth)
 
             end = walk(routine.body, state, run)
