@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -210,6 +210,13 @@ def read(path: Path, stated: Stated) -> ProgramFile:
     return program.read()
 
 
+def _given(function: Function | None, call: Call) -> Iterator[tuple[str, Expression]]:
+    """Yield the parameters that a call of a function gives, with their values."""
+    if function is not None:
+        yield from zip(function.parameters, call.arguments, strict=False)
+        yield from ((k, v) for k, v in call.named.items() if k in function.parameters)
+
+
 class _Program:
     """A program, and what is known of its motions."""
 
@@ -234,6 +241,7 @@ class _Program:
         self._target_list: list[Target] = []
         self._known: dict[str, Numbers] = {}
         self._own_variables()
+        self._relevant = self._relevant_names()
         self._read_data()
 
     @property
@@ -292,6 +300,28 @@ class _Program:
                 is_outer = function.kind in ("thread", "sec") and item.name
                 if is_outer and item.name not in function.variables:
                     self._unsteady.add(self._key(function, item.name))
+
+    def _relevant_names(self) -> frozenset[str]:
+        """Return the names of variables that targets and TCPs depend on; a state has no others."""
+        from_names: list[tuple[str, frozenset[str]]] = []
+        relevant: set[str] = set()
+        for function in self._functions:
+            for item in statements(function.body):
+                if item.name:
+                    from_names.append((item.name, names_in(item.value)))
+                for call in calls_in(item.value):
+                    if call.name in _MOTIONS or call.name == "set_tcp":
+                        relevant |= names_in(call)
+                    inner = self._find_function(function, call.name)
+                    for name, value in _given(inner, call):
+                        from_names.append((name, names_in(value)))
+        count = -1
+        while count != len(relevant):
+            count = len(relevant)
+            for name, others in from_names:
+                if name in relevant:
+                    relevant |= others
+        return frozenset(relevant)
 
     @staticmethod
     def _owner(function: Function, name: str) -> Function | None:
@@ -385,7 +415,7 @@ class _Program:
         state = self._call_all(statement, state, function, is_trial=is_trial)
         if state is None:
             return None
-        if statement.kind in ("assignment", "part"):
+        if statement.kind in ("assignment", "part") and statement.name in self._relevant:
             key = self._key(function, statement.name)
             values = frozenset({_Value("computed", name=statement.name)})
             if statement.kind == "assignment" and statement.value is not None:
@@ -414,11 +444,10 @@ class _Program:
         assert state is not None
         inner = self._find_function(function, call.name)
         if inner is not None:
-            given = dict(zip(inner.parameters, call.arguments, strict=False)) | call.named
             arguments = {
                 self._key(inner, name): self._values(value, state, function)
-                for name, value in given.items()
-                if name in inner.parameters
+                for name, value in _given(inner, call)
+                if name in self._relevant
             }
             if inner.kind != "def":
                 self._seen = join([self._seen, state])
