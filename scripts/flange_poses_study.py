@@ -36,9 +36,9 @@ from calib.model.parameter_sets import error_model
 from calib.result.calibrate import calibrate
 from calib.robot.flange import BASE, FLANGE, JOINTS, NAME
 from calib.robot.robot import Robot
+from calib.verbs.compensate.solutions import joint_solutions
 from calib.verbs.joints.branches import unwound, ways
 from calib.verbs.joints.joints import JointValues, MeasuredThere, joint_values
-from calib.verbs.joints.solutions import joint_solutions
 
 #: Standard deviation of a corner [px].
 SIGMA = 0.2

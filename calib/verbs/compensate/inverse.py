@@ -373,7 +373,7 @@ def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Arra
     solution = solve(arm, T_wanted, seeds, matching, limits, steps=_STEPS)
     allowed = limits + np.array([-_ROUNDING, _ROUNDING])
     first_seed = robot.input_values(seeds[0])[0]
-    q = _by_whole_turns(robot, robot.input_values(solution.q), first_seed, allowed)
+    q = by_whole_turns(robot, robot.input_values(solution.q), first_seed, allowed)
     is_inside = ((q >= allowed[:, 0]) & (q <= allowed[:, 1])).all(axis=1)
     misses = np.linalg.norm(matching.error(solution.T_base_tool, T_wanted), axis=1)
     is_solution = (misses <= 10.0 * _REACHED) & is_inside
@@ -384,21 +384,36 @@ def _nearest(arm: Arm, T: Array, seeds: Array, matching: Matching) -> tuple[Arra
     return robot.readings(q[int(np.argmin(cost))])[0], is_found
 
 
-def _by_whole_turns(robot: Robot, q: Array, seed: Array, allowed: Array) -> Array:
-    """Return joint values (n, m), each turned by whole turns as near to a seed (m,) as limits (m, 2) allow.
+def may_turn(robot: Robot) -> Mask:
+    """Return which measured joints may be whole turns away at the same pose, shape (m,).
 
-    Joints that slide, or that others follow in another ratio than 1, stay.
+    Joints that slide, or that others follow in another ratio than 1, may not.
     """
-    may_turn = []
+    result = []
     for name, column in zip(robot.joint_names, robot.mimic_matrix.T, strict=True):
         turns = robot.joint_types[name] != "prismatic"
         # Joints that follow in another ratio would not make whole turns.
         is_one_to_one = set(np.abs(column)) <= {0.0, 1.0}
-        may_turn.append(turns and is_one_to_one)
+        result.append(turns and is_one_to_one)
+    return np.array(result)
+
+
+def by_whole_turns(robot: Robot, q: Array, seed: Array, allowed: Array) -> Array:
+    """Turn joint values by whole turns as near to others as limits allow.
+
+    Args:
+        robot: The robot, with m measured joints.
+        q: Joint values, shape (n, m), [rad] or [m].
+        seed: Those to come near to, shape (m,).
+        allowed: Limits, shape (m, 2).
+
+    Returns:
+        shape (n, m); joints that may not turn, see `may_turn`, stay.
+    """
     low, high = allowed.T
     turned = q - _TURN * np.round((q - seed) / _TURN)
     turned = turned - _TURN * (turned > high) + _TURN * (turned < low)
-    return np.where(may_turn, turned, q)
+    return np.where(may_turn(robot), turned, q)
 
 
 def start_values(

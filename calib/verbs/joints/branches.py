@@ -17,7 +17,7 @@ import numpy as np
 from calib.basics.arrays import Array, Integers
 from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
-from calib.verbs.joints.solutions import turning
+from calib.verbs.compensate.solutions import turning
 
 _TURN = 2.0 * np.pi
 

@@ -24,8 +24,8 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import known_distances
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.robot import Robot
+from calib.verbs.compensate.solutions import joint_solutions
 from calib.verbs.joints.branches import detours, unwound, ways
-from calib.verbs.joints.solutions import joint_solutions
 
 #: A choice is decided by what was measured if it is so many times as likely as any other, as a logarithm: 1000 to 1.
 _DECISIVE = float(np.log(1e3))

@@ -25,6 +25,7 @@ LeftCode = Literal[
     "computed",
     "partial",
     "shared",
+    "configuration",
     "external axes",
     "other file",
     "not a motion",
@@ -42,7 +43,8 @@ LeftCode = Literal[
 relative        a motion by an offset from where the robot is, or from another target
 computed        the target is made, or changed, by the program as it runs
 partial         some of the target's numbers are left out, and stay those of the motion before
-shared          motions with other tools or frames go to the same target, and need other numbers
+shared          motions with other tools, frames or approaches go to the same target, and need other numbers
+configuration   no joint values of the nominal robot at the target agree with its configuration data
 external axes   a track or positioner that is not in the URDF takes part in the motion
 other file      the target's numbers stand in a file that was not given
 not a motion    the numbers are no target of the robot: of a pallet, a frame, a weave

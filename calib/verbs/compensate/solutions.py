@@ -78,7 +78,7 @@ def joint_solutions(robot: Robot, T_base_tip: Array) -> list[Array]:
         wanted = np.repeat(T_base_tip, len(seeds), axis=0)
         solution = solve(arm, wanted, np.tile(seeds, (N, 1)), matching, steps=_STEPS)
         misses = np.linalg.norm(matching.error(solution.T_base_tool, wanted), axis=1)
-        values, is_inside = _into_limits(robot, solution.q)
+        values, is_inside = inside_limits(robot, solution.q)
         misses = np.where(is_inside, misses, np.inf).reshape(N, len(seeds))
         best = np.minimum(best, misses.min(axis=1))
         limit = np.where(best < _NEARLY, np.maximum(_REACHED, _AS_NEAR * best), 0.0)
@@ -86,7 +86,7 @@ def joint_solutions(robot: Robot, T_base_tip: Array) -> list[Array]:
         values = values.reshape(N, len(seeds), count)
         before = sum(map(len, found))
         found = [
-            _distinct(np.concatenate([known, values[n][is_solution[n]]]))
+            distinct(np.concatenate([known, values[n][is_solution[n]]]))
             for n, known in enumerate(found)
         ]
         idle = idle + 1 if sum(map(len, found)) == before else 0
@@ -95,8 +95,8 @@ def joint_solutions(robot: Robot, T_base_tip: Array) -> list[Array]:
     counts = [len(values) for values in found]
     ends = np.cumsum(counts)[:-1]
     to_the_end = solve(arm, np.repeat(T_base_tip, counts, axis=0), np.concatenate(found), matching)
-    values, _ = _into_limits(robot, to_the_end.q)
-    return [_distinct(of_pose) for of_pose in np.split(values, ends)]
+    values, _ = inside_limits(robot, to_the_end.q)
+    return [distinct(of_pose) for of_pose in np.split(values, ends)]
 
 
 def turning(robot: Robot) -> Mask:
@@ -104,18 +104,27 @@ def turning(robot: Robot) -> Mask:
     return np.array([robot.joint_types[name] != "prismatic" for name in robot.joint_names])
 
 
-def _into_limits(robot: Robot, q: Array) -> tuple[Array, Mask]:
-    """Return joint values (n, m) at the turn inside their limits that is nearest to zero; and which rows are inside."""
+def inside_limits(robot: Robot, q: Array) -> tuple[Array, Mask]:
+    """Bring joint values inside their limits by whole turns.
+
+    Args:
+        robot: The robot, with m measured joints.
+        q: Readings, shape (n, m), [rad] or [m].
+
+    Returns:
+        The readings at the turn inside the limits that is nearest to zero, (n, m); and which rows are inside, (n,).
+    """
     low, high = (column_limits(robot) + np.array([-_ROUNDING, _ROUNDING])).T
     turns = turning(robot)
-    nearest = np.where(turns, q - _TURN * np.round(q / _TURN), q)
+    values = robot.input_values(q)
+    nearest = np.where(turns, values - _TURN * np.round(values / _TURN), values)
     up = np.where(turns & (nearest < low), nearest + _TURN, nearest)
     inside = np.where(turns & (up > high), nearest - _TURN, up)
-    return inside, ((inside >= low) & (inside <= high)).all(axis=1)
+    return robot.readings(inside), ((inside >= low) & (inside <= high)).all(axis=1)
 
 
-def _distinct(values: Array) -> Array:
-    """Return the different rows of joint values (n, m), the first of each."""
+def distinct(values: Array) -> Array:
+    """Return the different rows of joint values (n, m), [rad] or [m], the first of each, shape (k, m)."""
     kept: list[Array] = []
     for row in values:
         if all(np.abs(row - other).max() > _SAME for other in kept):

@@ -8,7 +8,7 @@ import pytest
 from calib.errors import ModelError
 from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.joints.solutions import joint_solutions
+from calib.verbs.compensate.solutions import joint_solutions
 
 
 def off(solutions: np.ndarray, q: np.ndarray) -> float:
