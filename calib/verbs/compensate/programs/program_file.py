@@ -19,6 +19,7 @@ from typing import Literal, TypeAlias
 from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
 from calib.data.forms.orientations import Convention
+from calib.robot.robot import Robot
 
 LeftCode = Literal[
     "relative",
@@ -167,3 +168,5 @@ class Stated(Value):
     data: tuple[Path, ...] = ()
     #: Pulses in one SI unit (rad or m) of each joint, in the order of ``joint_names``; empty: not stated.
     pulses: tuple[float, ...] = ()
+    #: The nominal robot, by whose geometry configuration data tell front from back and up from down; None: they do not.
+    robot: Robot | None = None
