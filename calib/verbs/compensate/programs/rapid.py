@@ -27,6 +27,7 @@ from calib.basics.files import read_bytes
 from calib.data.forms.orientations import CONVENTIONS
 from calib.errors import MeasurementError
 from calib.numerics.geometry import to_matrices
+from calib.verbs.compensate.programs.arm_posture import ArmPosture
 from calib.verbs.compensate.programs.flow import State, join, walk
 from calib.verbs.compensate.programs.program_file import (
     Configuration,
@@ -69,9 +70,6 @@ _NONE = 1e8
 
 #: Joint values may be in the next quadrant by this: digits that were not written [deg].
 _TOLERANCE = 1.0
-
-#: Axis 3 where lower arm and wrist are in line: -80 deg of most arms, -90 deg without an offset of the elbow [deg].
-_ELBOW = -83.0
 
 #: The place of axis 7 of arms with seven joints in their chain, from 0: external axis a of ABB's data.
 _AXIS_7 = 2
@@ -304,6 +302,7 @@ class _Program:
         self._stated_tools = {name.lower(): T for name, T in stated.tools.items()}
         self._stated_frames = {name.lower(): T for name, T in stated.frames.items()}
         self._joint_names = stated.joint_names
+        self._posture = ArmPosture.of(stated.robot)
         self._line_ends = [[m.start() for m in re.finditer("\n", item.text)] for item in texts]
         self._siblings: list[Module] | None = None
         #: Data and parameters that change, by the module, the routine (0: of the module) and the name.
@@ -857,7 +856,9 @@ class _Program:
             dependent = tuple(
                 (written[k], _Quadrant(int(written[k].value), axis)) for k, axis in enumerate(_AXES)
             )
-        return replace(target, configuration=_configuration(quadrants), dependent=dependent)
+        return replace(
+            target, configuration=_configuration(quadrants, self._posture), dependent=dependent
+        )
 
     def _pose(self, value: Value | None) -> Array | None:
         """Return the pose (4, 4) [m] that an aggregate of a position and a quaternion is, or None."""
@@ -977,7 +978,9 @@ class _Program:
                     if is_target and id(data) not in self._mentioned:
                         line = self._line(module.file, data.start)
                         name = self._written(data, scope)
-                        self._left[Left(module.file, line, "unused", name)] = None
+                        changed = self._is_changed(scope, data.name)
+                        code: LeftCode = "computed" if changed else "unused"
+                        self._left[Left(module.file, line, code, name)] = None
 
 
 #: Codes as they are in the texts of `_Program._tool` and `_Program._frame`.
@@ -1013,8 +1016,13 @@ class _Quadrant:
         return int(np.floor(angle / 90.0))
 
 
-def _configuration(data: Array) -> Configuration:
-    """Return which joint values cf1, cf4, cf6 and cfx allow: those of the same quadrants, the best of them by cfx."""
+def _configuration(data: Array, posture: ArmPosture | None) -> Configuration:
+    """Return which joint values cf1, cf4, cf6 and cfx allow.
+
+    The quadrants must be those of cf1, cf4 and cf6. Bits of cfx are 1 for a negative axis 5, a wrist behind the lower
+    arm, and one behind axis 1. Older controllers and arms with parallel rods write 0 whatever the arm does, so that a
+    bit only chooses among several solutions.
+    """
 
     def allowed(q: Array) -> Mask:
         angles = np.rad2deg(np.asarray(q))
@@ -1022,15 +1030,16 @@ def _configuration(data: Array) -> Configuration:
         for axis, quadrant in zip(_AXES, data, strict=False):
             over = angles[:, axis] - 90.0 * np.floor(quadrant)
             is_allowed &= (over >= -_TOLERANCE) & (over <= 90.0 + _TOLERANCE)
-        # Older controllers and arms with parallel rods write 0 whatever the arm does: then a bit chooses among several.
-        of_bits = int(data[3]) if 0 <= data[3] <= 7 else 0
-        for bit, is_set in (
-            (1, angles[:, 4] < 0.0),
-            (2, angles[:, 2] < _ELBOW),
-        ):
-            agrees = is_allowed & (is_set == bool(of_bits & bit))
-            if agrees.any():
-                is_allowed = agrees
+        if not 0 <= data[3] <= 7:
+            return is_allowed
+        of_bits = int(data[3])
+        agreeing = [(angles[:, 4] < 0.0) == bool(of_bits & 1)]
+        if posture is not None:
+            agreeing.append(posture.is_elbow_up(q, up=not of_bits & 2))
+            agreeing.append(posture.is_front(q, front=not of_bits & 4))
+        for agrees in agreeing:
+            if (is_allowed & agrees).any():
+                is_allowed = is_allowed & agrees
         return is_allowed
 
     return allowed
