@@ -8,29 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeAlias, TypeVar
-
-Item = TypeVar("Item")
+from typing import Any, TypeAlias
 
 #: Possible values of each setting by its name; None: nothing runs here, as after a RETURN.
 State: TypeAlias = "Mapping[str, frozenset[Hashable]] | None"
 
 
 @dataclass(frozen=True, slots=True)
-class Branch(Generic[Item]):
+class Branch:
     """Ways of which one is gone; an empty one if none may be."""
 
-    ways: tuple[tuple[Node[Item], ...], ...]
+    ways: tuple[tuple[Node, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Loop(Generic[Item]):
+class Loop:
     """Statements that run any number of times."""
 
-    body: tuple[Node[Item], ...]
+    body: tuple[Node, ...]
 
 
-Node: TypeAlias = "Item | Branch[Item] | Loop[Item]"
+#: A `Branch`, a `Loop`, or a statement of the dialect.
+Node: TypeAlias = Any
 
 
 def join(states: Iterable[State]) -> State:
@@ -48,9 +47,9 @@ def join(states: Iterable[State]) -> State:
 
 
 def walk(
-    nodes: Sequence[Node[Item]],
+    nodes: Sequence[Node],
     state: State,
-    run: Callable[[Item, State, bool], State],
+    run: Callable[[Any, State, bool], State],
     *,
     is_trial: bool = False,
 ) -> State:

@@ -740,10 +740,10 @@ class _Program:
         if not isinstance(target, Target):
             self._leave(visit, target, what)
             return
-        T_tip_tool = self._tool(tool, visit.scope)
+        T_tip_tool: Array | str | None = self._tool(tool, visit.scope)
         T_base_frame: Array | str | None = None
         if to_joints:
-            T_tip_tool = T_tip_tool if isinstance(T_tip_tool, np.ndarray) else None
+            T_tip_tool = None if isinstance(T_tip_tool, str) else T_tip_tool
         else:
             frame = visit.call.options.get("wobj")
             T_base_frame = self._frame(frame, visit.scope)
@@ -851,7 +851,7 @@ class _Program:
             return target
         quadrants = np.array(configuration)
         written = self._numbers(value.items[2], 4)
-        dependent = ()
+        dependent: tuple[tuple[NumberText, _Quadrant], ...] = ()
         if written is not None:
             dependent = tuple(
                 (written[k], _Quadrant(int(written[k].value), axis)) for k, axis in enumerate(_AXES)

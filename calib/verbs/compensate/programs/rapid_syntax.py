@@ -183,9 +183,9 @@ class Routine:
     parameters: tuple[Parameter, ...]
     start: int
     data: dict[str, Data] = field(default_factory=dict)
-    body: tuple[Node[Statement], ...] = ()
+    body: tuple[Node, ...] = ()
     #: Statements of its handlers of errors.
-    handlers: tuple[Node[Statement], ...] = ()
+    handlers: tuple[Node, ...] = ()
 
 
 @dataclass(slots=True, eq=False)
@@ -487,7 +487,7 @@ class _Parser:
         routine = Routine(kind, name, is_local, parameters, start)
         ends = (_ENDS[kind], "endmodule", *_HANDLERS)
         routine.body = self._block(routine, ends)
-        handlers: list[Node[Statement]] = []
+        handlers: list[Node] = []
         while self._word() in _HANDLERS:
             self._at += 1
             if self._word() == "(":
@@ -498,9 +498,9 @@ class _Parser:
             self._at += 1
         return routine
 
-    def _block(self, routine: Routine, ends: tuple[str, ...]) -> tuple[Node[Statement], ...]:
+    def _block(self, routine: Routine, ends: tuple[str, ...]) -> tuple[Node, ...]:
         """Return the statements up to one of the words that end them, and stay there."""
-        nodes: list[Node[Statement]] = []
+        nodes: list[Node] = []
         while self._has_more():
             word = self._word()
             if word in ends or word in ("endproc", "endfunc", "endtrap", "endmodule"):
@@ -531,7 +531,7 @@ class _Parser:
         if self._word() == word:
             self._at += 1
 
-    def _if(self, routine: Routine) -> Node[Statement]:
+    def _if(self, routine: Routine) -> Node:
         """Return the branches of the IF at the place, which may have a single statement and no end."""
         self._at += 1
         begin = self._at
@@ -553,7 +553,7 @@ class _Parser:
         self._skip("endif")
         return Branch((*ways,) if has_else else (*ways, ()))
 
-    def _test(self, routine: Routine) -> Node[Statement]:
+    def _test(self, routine: Routine) -> Node:
         """Return the branches of the TEST at the place."""
         self._at += 1
         ends = ("case", "default", "endtest")
@@ -629,7 +629,7 @@ def _parameters(tokens: Sequence[Token]) -> Iterator[Parameter]:
                 yield Parameter(kept[1], kept[0], is_optional)
 
 
-def statements(nodes: Sequence[Node[Statement]]) -> Iterator[Statement]:
+def statements(nodes: Sequence[Node]) -> Iterator[Statement]:
     """Yield all statements in the order of the text."""
     for node in nodes:
         if isinstance(node, Branch):

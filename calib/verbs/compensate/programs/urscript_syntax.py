@@ -132,7 +132,7 @@ class Function:
     name: str
     parameters: tuple[str, ...]
     outer: Function | None
-    body: tuple[Node[Statement], ...] = ()
+    body: tuple[Node, ...] = ()
     functions: dict[str, Function] = field(default_factory=dict)
     #: Names of its own variables.
     variables: set[str] = field(default_factory=set)
@@ -186,7 +186,7 @@ def all_functions(function: Function) -> Iterator[Function]:
         yield from all_functions(inner)
 
 
-def statements(nodes: Sequence[Node[Statement]]) -> Iterator[Statement]:
+def statements(nodes: Sequence[Node]) -> Iterator[Statement]:
     """Yield all statements in the order of the text."""
     for node in nodes:
         if isinstance(node, Branch):
@@ -268,7 +268,7 @@ def expression_of(tokens: Sequence[Token]) -> Expression:
     is_call = first.kind == "name" and len(tokens) > 2 and tokens[1].word == "("
     if is_call and first.word not in _KEYWORDS and _closing(tokens, 1) == len(tokens) - 1:
         return _call(tokens)
-    names = set()
+    names: set[str] = set()
     calls: list[Call] = []
     i = 0
     while i < len(tokens):
@@ -308,7 +308,7 @@ class _Parser:
 
     def fill(self, function: Function) -> None:
         """Read the text outside all functions; an END too many ends none of it."""
-        nodes: list[Node[Statement]] = []
+        nodes: list[Node] = []
         while self._at < len(self._tokens):
             nodes += self._block(function)
             self._at += 1
@@ -356,9 +356,9 @@ class _Parser:
             self._at += 1
         return self._tokens[begin : self._at]
 
-    def _block(self, function: Function) -> list[Node[Statement]]:
+    def _block(self, function: Function) -> list[Node]:
         """Return the statements up to a word that ends them, and stay there."""
-        nodes: list[Node[Statement]] = []
+        nodes: list[Node] = []
         while self._at < len(self._tokens) and self._word() not in _ENDS:
             begin = self._at
             word = self._word()
@@ -393,10 +393,10 @@ class _Parser:
             return []
         return [Statement("call", "", "", expression_of(tokens), tokens[0].start)]
 
-    def _if(self, function: Function) -> list[Node[Statement]]:
+    def _if(self, function: Function) -> list[Node]:
         """Return the condition and the branches of the IF at the place."""
-        nodes: list[Node[Statement]] = []
-        ways: list[tuple[Node[Statement], ...]] = []
+        nodes: list[Node] = []
+        ways: list[tuple[Node, ...]] = []
         has_else = False
         while self._word() in ("if", "elif", "else") and not has_else:
             if ways and self._word() == "if":
