@@ -40,6 +40,7 @@ from calib.verbs.compensate.programs.program_file import (
     ProgramText,
     Stated,
     Target,
+    readable,
 )
 from calib.verbs.compensate.programs.rapid_syntax import (
     Aggregate,
@@ -167,12 +168,22 @@ _START = MappingProxyType(
     }
 )
 
-#: Instructions and functions that write into their arguments.
-_WRITERS = frozenset(
+#: Instructions and functions that write into an argument, by its place from 0.
+_WRITERS = MappingProxyType(
     {
-        *("searchl", "searchj", "searchc", "triggsearchl"),
-        *("getdataval", "setdataval", "strtoval", "unpackrawbytes", "readrawbytes", "readcfgdata"),
-        *("mtooltcpcalib", "mtoolrotcalib", "stooltcpcalib", "stoolrotcalib"),
+        "searchl": 1,
+        "searchj": 1,
+        "searchc": 1,
+        "triggsearchl": 1,
+        "getdataval": 1,
+        "setdataval": 0,
+        "strtoval": 1,
+        "unpackrawbytes": 2,
+        "readrawbytes": 1,
+        "mtooltcpcalib": 4,
+        "mtoolrotcalib": 3,
+        "stooltcpcalib": 4,
+        "stoolrotcalib": 3,
     }
 )
 
@@ -391,11 +402,10 @@ class _Program:
             for statement in statements((*routine.body, *routine.handlers)):
                 if isinstance(statement, Assignment):
                     self._change(statement.to.name, scope)
-                if isinstance(statement, Call) and statement.name in _WRITERS:
-                    self._change_written(statement.arguments, scope)
+                if isinstance(statement, Call):
+                    self._change_written(statement.name, statement.arguments, scope)
                 for name, arguments in _function_calls(statement.tokens):
-                    if name in _WRITERS:
-                        self._change_written(arguments, scope)
+                    self._change_written(name, arguments, scope)
         count = -1
         while count != len(self._changed):
             count = len(self._changed)
@@ -407,18 +417,17 @@ class _Program:
                     for name, arguments in _function_calls(statement.tokens):
                         self._change_arguments(name, arguments, scope)
 
-    def _change_written(self, arguments: Sequence[Value], scope: _Scope) -> None:
-        """Note what an instruction that writes into its arguments changes."""
-        for argument in arguments:
+    def _change_written(self, name: str, arguments: Sequence[Value], scope: _Scope) -> None:
+        """Note what an instruction that writes into an argument changes."""
+        place = _WRITERS.get(name, len(arguments))
+        if place >= len(arguments):
+            return
+        argument = arguments[place]
+        if isinstance(argument, Text):
             # SetDataVal names the data in a string.
-            name = argument.text.lower() if isinstance(argument, Text) else ""
-            if isinstance(argument, Reference):
-                found = self._find_data(argument.name, scope)
-                # The target of a search is read only; where it stopped has no value of its own.
-                if found is None or found[1].value is None or found[1].type not in _TARGETS:
-                    name = argument.name
-            if name:
-                self._change(name, scope)
+            self._change(argument.text.lower(), scope)
+        elif isinstance(argument, Reference):
+            self._change(argument.name, scope)
 
     def _change_arguments(self, name: str, arguments: Sequence[Value], scope: _Scope) -> None:
         """Note the data that a routine changes by its parameters."""
@@ -539,6 +548,9 @@ class _Program:
         if isinstance(value, Other):
             relative = value.function in ("offs", "reltool")
             code: LeftCode = "relative" if relative else "computed"
+            if not value.names:
+                # A star is the position that was taught last, and is not in the text.
+                code = "partial"
             for name in value.names:
                 self._mention(name, scope)
             return [_Found(self._source(value, scope), None, scope, code=code)]
@@ -588,7 +600,7 @@ class _Program:
                         _items(part) if index is None else [_item(part, index - 1, f"{{{index}}}")]
                     )
                 ]
-        return parts
+        return [replace(part, name=part.name.replace("}{", ",")) for part in parts]
 
     def _components(self, type_name: str) -> tuple[tuple[str, str], ...]:
         """Return names and types of the components of a record."""
@@ -615,7 +627,8 @@ class _Program:
 
     def _written(self, data: Data, scope: _Scope) -> str:
         """Return the name of data as it is written."""
-        return self._texts[scope.module.file].text[data.start : data.start + len(data.name)]
+        text = self._texts[scope.module.file].text
+        return readable(text[data.start : data.start + len(data.name)])
 
     # Motions
 
@@ -652,9 +665,9 @@ class _Program:
             return
         state = visit.state or _START
         code: LeftCode | None = None
-        what = name
+        what = _motion_text(self, visit)
         if True in state["displaced"] and match[1] != "absj":
-            code, what = "computed", f"{name}, displaced by PDispOn or PDispSet"
+            code = "computed"
         elif True in state["forced"]:
             code = "force"
         elif "corr" in call.options:
@@ -674,7 +687,7 @@ class _Program:
         """Return the name of an instruction as it is written."""
         text = self._texts[visit.scope.module.file].text
         token = visit.call.tokens[0]
-        return text[token.start : token.end]
+        return readable(text[token.start : token.end])
 
     def _other_call(self, visit: _Visit, name: str) -> None:
         """Name a call that may move the robot: with targets, of a routine in another file, or found as it runs."""
@@ -1078,7 +1091,7 @@ def _motion_text(program: _Program, visit: _Visit) -> str:
 def _shortened(text: str) -> str:
     """Return a text in one line of at most 60 characters."""
     line = " ".join(text.split())
-    return line if len(line) <= 60 else line[:57] + "..."
+    return readable(line if len(line) <= 60 else line[:57] + "...")
 
 
 def _plain(value: Value | None) -> object:

@@ -519,6 +519,9 @@ class _Parser:
                 nodes.append(Loop(body))
             elif word == "test":
                 nodes.append(self._test(routine))
+            elif word == "<" and self._word(2) == ">":
+                # The place of a statement that is not written yet: <SMT>
+                self._at += 3
             elif word in (";", "endif", "endfor", "endwhile", "endtest", "else", "elseif"):
                 self._at += 1
             else:
@@ -578,9 +581,6 @@ class _Parser:
         if not tokens:
             return Control("other", "", self._tokens[self._at - 1 : self._at])
         word = tokens[0].word
-        if word == "<":
-            # The place of a statement that is not written yet: <SMT>
-            return Control("other", "", tokens)
         if word == "goto":
             return Control("goto", tokens[-1].word, tokens)
         if word in ("return", "raise", "exit", "exitcycle", "trynext", "retry"):
@@ -621,12 +621,12 @@ def _after_condition(tokens: Sequence[Token], begin: int, end: int) -> int:
 def _parameters(tokens: Sequence[Token]) -> Iterator[Parameter]:
     """Yield the parameters of a routine; of alternatives each."""
     for part in split(tokens, ","):
-        for alternative in split(part, "|"):
-            words = [token.word for token in alternative]
-            is_optional = "\\" in words
-            kept = [word for word in words if word not in ("\\", "inout", "var", "pers", "ref")]
-            if len(kept) >= 2:
-                yield Parameter(kept[1], kept[0], is_optional)
+        for place, group in enumerate(split(part, "\\")):
+            for alternative in split(group, "|"):
+                words = [token.word for token in alternative]
+                kept = [word for word in words if word not in ("inout", "var", "pers", "ref")]
+                if len(kept) >= 2:
+                    yield Parameter(kept[1], kept[0], place > 0)
 
 
 def statements(nodes: Sequence[Node]) -> Iterator[Statement]:

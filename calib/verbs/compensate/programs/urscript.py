@@ -38,6 +38,7 @@ from calib.verbs.compensate.programs.program_file import (
     ProgramText,
     Stated,
     Target,
+    readable,
 )
 from calib.verbs.compensate.programs.urscript_syntax import (
     Call,
@@ -566,7 +567,7 @@ class _Program:
     def _source(self, expression: Expression) -> str:
         """Return an expression as it is written, in one short line."""
         line = " ".join(self._text[expression.start : expression.end].split())
-        return line if len(line) <= 60 else line[:57] + "..."
+        return readable(line if len(line) <= 60 else line[:57] + "...")
 
     def _line(self, position: int) -> int:
         """Return the line, from 1, of a character."""
