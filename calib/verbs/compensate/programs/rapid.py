@@ -654,14 +654,13 @@ class _Program:
         kind = _KINDS[match[1]]
         targets = call.arguments[: 2 if kind == "circular" else 1]
         has_tool_inside = _TOOL_INSIDE.fullmatch(call.name) is not None
-        if len(call.arguments) < len(targets) + 2:
-            if not any(self._is_target(argument, visit.scope) for argument in call.arguments):
-                return  # a TriggL... of a signal, or a GripC..., with no target
-            self._leave(visit, "unread", _motion_text(self, visit))
-            return
         place = len(targets) + 2 if has_tool_inside else len(call.arguments) - 1
-        if place >= len(call.arguments):
-            self._leave(visit, "unread", _motion_text(self, visit))
+        if len(call.arguments) < len(targets) + 2 or place >= len(call.arguments):
+            # A TriggL... or GripC... that takes no target moves nothing.
+            if any(self._is_target(argument, visit.scope) for argument in call.arguments):
+                for argument in call.arguments:
+                    self._mention_all(argument, visit.scope)
+                self._leave(visit, "unread", _motion_text(self, visit))
             return
         state = visit.state or _START
         code: LeftCode | None = None

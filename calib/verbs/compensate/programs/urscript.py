@@ -249,7 +249,7 @@ class _Program:
     def is_urscript(self) -> bool:
         """Whether it has functions, or motions."""
         return len(self._functions) > 1 or any(
-            call.name in _MOTIONS
+            call.name in _MOTIONS or call.name in _OTHER_MOTIONS
             for item in statements(self._top.body)
             for call in calls_in(item.value)
         )
@@ -603,7 +603,10 @@ class _Program:
                 self._leave(call, code, f"{call.name} {self._source(target)}")
                 continue
             for value in sorted(values, key=lambda item: (item.start, item.name)):
-                for tcp in sorted(state[_TCP], key=str):
+                tcps = sorted(state[_TCP], key=str)
+                is_pose = bool(value.code or value.frames) or self._literals[value.start].is_pose
+                # The TCP makes no difference to joint values.
+                for tcp in tcps if is_pose else tcps[:1]:
                     assert isinstance(tcp, _Value)
                     outcome = _Outcome(
                         call.name, line, self._source(target), kind, value, value.tcp or tcp

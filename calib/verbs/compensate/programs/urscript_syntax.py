@@ -323,7 +323,9 @@ class _Parser:
 
     def _begins_function(self) -> bool:
         """Test whether a function begins at the place; ``sec`` may be a variable too."""
-        return self._word() in _FUNCTIONS and self._word(1).isidentifier() and self._word(2) in "(:"
+        following = self._tokens[self._at + 1 : self._at + 2]
+        has_name = bool(following) and following[0].kind == "name"
+        return self._word() in _FUNCTIONS and has_name and self._word(2) in ("(", ":")
 
     def _line(self) -> list[Token]:
         """Return the tokens up to the end of a statement, and stay there."""
