@@ -216,9 +216,9 @@ def test_letters_and_text_that_is_not_well_formed() -> None:
     "name",
     [
         "inline.mod",
-        "paths.mod",
-        "arrays.mod",
-        "scopes.mod",
+        pytest.param("paths.mod", marks=pytest.mark.slow),
+        pytest.param("arrays.mod", marks=pytest.mark.slow),
+        pytest.param("scopes.mod", marks=pytest.mark.slow),
         "computed.mod",
         "frames.mod",
         "old.prg",

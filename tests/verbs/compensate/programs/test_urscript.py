@@ -190,9 +190,9 @@ def test_text_of_another_program() -> None:
     "name",
     [
         "polyscope.script",
-        "lines.script",
+        pytest.param("lines.script", marks=pytest.mark.slow),
         "frames.script",
-        "functions.script",
+        pytest.param("functions.script", marks=pytest.mark.slow),
         "computed.script",
         "forces.script",
         "tcps.script",
