@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -19,6 +19,7 @@ from calib.errors import CalibError, MeasurementError, VerdictError, choices
 if TYPE_CHECKING:
     from calib.basics.arrays import Array
     from calib.data.cell import Cell
+    from calib.data.forms.column_options import ColumnOptions
     from calib.result.calibration import Calibration
     from calib.robot.gravity import Payload
     from calib.robot.robot import Robot
@@ -26,6 +27,12 @@ if TYPE_CHECKING:
 #: The words by which `--poses-in` means the robot's base, and the only measurement frame.
 _BASE = "base"
 _MEASURED = "measured"
+
+#: An example of a pose.
+_POSE = "0 0 100 mm 0 0 90 deg"
+
+#: The axes of six, as a Yaskawa controller calls them.
+_AXES = ("S", "L", "U", "R", "B", "T")
 
 #: Error of a row that the search for joint values may leave, unless --tolerance says otherwise [m], [rad].
 _TOLERANCE = 1e-8
@@ -113,23 +120,110 @@ def parse_tool(text: str) -> Array | str:
     Raises:
         CalibError: It is neither.
     """
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    from calib.basics.units import ANGLE, LENGTH, parse_quantities
-
     word, _, name = text.strip().partition(":")
     if word == "target":
         return name.strip()
-    example = "0 0 100 mm 0 0 90 deg"
     if not any(character.isdigit() for character in text):
-        raise CalibError(f'--tool "{text}": it must be a pose, "{example}", or target[:NAME].')
-    values = parse_quantities(text, "--tool", {LENGTH: 3, ANGLE: 3}, example)
+        raise CalibError(f'--tool "{text}": it must be a pose, "{_POSE}", or target[:NAME].')
+    return _pose(text, "--tool")
+
+
+def _pose(text: str, option: str, orientation: str | None = None) -> Array:
+    """Parse a pose, ``X Y Z UNIT [RX RY RZ UNIT]``: a rotation vector, or angles of a convention by its name.
+
+    It is of shape (4, 4), [m]; `CalibError` for anything else.
+    """
+    import numpy as np
+
+    from calib.basics.units import ANGLE, LENGTH, parse_quantities
+    from calib.data.forms.orientations import ROTATION_VECTOR, find_convention
+
+    convention = find_convention(orientation or ROTATION_VECTOR.name)
+    if len(convention.columns) != 3:
+        raise CalibError(
+            f"--orientation {convention.name}: of a program it is that of {option}, which takes three numbers."
+        )
+    values = parse_quantities(text, option, {LENGTH: 3, ANGLE: 3}, _POSE)
     zero = [0.0, 0.0, 0.0]
-    T_tip_tool = np.eye(4)
-    T_tip_tool[:3, 3] = values.get(LENGTH, zero)
-    T_tip_tool[:3, :3] = Rotation.from_rotvec(values.get(ANGLE, zero)).as_matrix()
-    return T_tip_tool
+    T = np.eye(4)
+    T[:3, 3] = values.get(LENGTH, zero)
+    T[:3, :3] = convention.matrices(np.array([values.get(ANGLE, zero)]))[0]
+    return T
+
+
+def _named_poses(texts: Sequence[str], option: str, orientation: str | None) -> dict[str, Array]:
+    """Parse ``NAME=POSE``, repeated, or a pose alone, whose name is empty; `CalibError` for anything else."""
+    poses: dict[str, Array] = {}
+    for text in texts:
+        name, is_named, pose = text.rpartition("=")
+        name = name.strip()
+        if name in poses or (is_named and not name) or not pose.strip():
+            raise CalibError(
+                f"{option} was given '{text}'; for a program it must be \"NAME={_POSE}\", each name once."
+            )
+        poses[name] = _pose(pose, option, orientation)
+    return poses
+
+
+def parse_pulses(texts: Sequence[str], joint_names: Sequence[str]) -> tuple[float, ...]:
+    """Parse ``--pulses``: ``JOINT=NUMBER per UNIT``, one for each joint.
+
+    Args:
+        texts: As typed; of six joints also by the letters S, L, U, R, B, T.
+        joint_names: The joints, in the order of the controller's axes.
+
+    Returns:
+        Pulses in one rad or m of each joint, in their order; none if nothing was typed.
+
+    Raises:
+        CalibError: One is not of this form, or a joint is missing.
+    """
+    from calib.basics.units import parse_pairs, parse_quantity
+
+    if not texts:
+        return ()
+    letters = _AXES if len(joint_names) == len(_AXES) else joint_names
+    wanted = f"'JOINT=NUMBER per UNIT', such as 'S=1485.6 per deg', for each of {choices(letters)}"
+    found = {}
+    for name, text in parse_pairs(texts, "--pulses", wanted).items():
+        number, _, unit = (part.strip() for part in text.partition("per"))
+        try:
+            in_one, _ = parse_quantity(f"1 {unit}")
+            found[name] = float(number) / in_one
+        except (CalibError, ValueError, ZeroDivisionError) as error:
+            raise CalibError(f"--pulses was given '{name}={text}'; it must be {wanted}.") from error
+    by_joint = [found.get(a, found.get(b)) for a, b in zip(letters, joint_names, strict=True)]
+    if None in by_joint or len(found) != len(joint_names):
+        raise CalibError(f"--pulses names {choices(found)}; it must be {wanted}.")
+    return tuple(value for value in by_joint if value is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramOptions:
+    """What a program in a maker's language does not say itself."""
+
+    frame: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"[NAME=]X Y Z UNIT RX RY RZ UNIT"',
+            help="Frame of a robot program in the base, by its name or number there; without a name, all that it does "
+            "not define. Can be repeated.",
+        ),
+    ] = None
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="File that defines tools, frames or targets of a robot program. Can be repeated.",
+        ),
+    ] = None
+    pulses: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"JOINT=NUMBER per UNIT"',
+            help="Pulses of each axis, of a Yaskawa program, such as 'S=1485.6 per deg'. Can be repeated.",
+        ),
+    ] = None
 
 
 def parse_pair(text: str, option: str, example: str) -> tuple[float | None, float | None]:
@@ -160,27 +254,35 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
 Examples:
   calib compensate robot.urdf program.csv --calibration result.json -o commands.csv
   calib compensate robot.urdf program.csv --corrected corrected.urdf --base base --tip tool0
+  calib compensate robot.urdf prog.src --calibration result.json --data \\$config.dat -o corrected/prog.src
 
 ROBOT is the controller's model of the robot. PROGRAM is a table of joint values planned for that robot, or of poses of
-its tool, or of both: then the poses are the goal, and the search starts at the joint values. If a row cannot be
-reached, nothing is written, unless --skip leaves such rows empty. Nor is anything written if the verdict on the
-calibration is 'do not use' (exit status 3), unless --accept is given.
+its tool, or of both: then the poses are the goal, and the search starts at the joint values. Or it is a program of KUKA
+(.src), ABB (.mod), FANUC (.ls), Yaskawa (.jbi) or Universal Robots (.script), of which -o writes one with the numbers
+of the targets corrected. If a row cannot be reached, nothing is written, unless --skip leaves such rows empty. Nor
+is anything written if the verdict on the calibration is 'do not use' (exit status 3), unless --accept is given.
 """)
 def compensate(
     robot: RobotFile,
     program: Annotated[
         Path,
-        typer.Argument(metavar="PROGRAM", help="Table (CSV, .xlsx): joint values, poses, or both."),
+        typer.Argument(
+            metavar="PROGRAM",
+            help="Table (CSV, .xlsx) of joint values, poses, or both; or a robot program (.src, .mod, .ls, .jbi, "
+            ".script).",
+        ),
     ],
     *,
     model_options: ModelChoice,
     tool: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            metavar='"X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
-            help="Pose of the tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip.",
+            metavar='"[NAME=]X Y Z UNIT [RX RY RZ UNIT]"|target[:NAME]',
+            help="Pose of the tool in the tip, such as '0 0 150 mm', or the calibrated target. Default: the tip. Of a "
+            "robot program the tool of this name or number, repeatedly; without a name, all that it does not define.",
         ),
     ] = None,
+    program_options: ProgramOptions,
     poses_in: Annotated[
         str,
         typer.Option(
@@ -208,19 +310,26 @@ def compensate(
         typer.Option(metavar='"LENGTH [ANGLE]"', help="Error that is allowed to remain in a row."),
     ] = "1e-8 m 1e-8 rad",
     skip: Annotated[
-        bool, typer.Option("--skip", help="Leave rows empty whose pose cannot be reached.")
+        bool,
+        typer.Option(
+            "--skip",
+            help="Leave rows empty whose pose cannot be reached, and targets of a robot program as they are.",
+        ),
     ] = False,
     cell_options: ChainOptions,
     column_options: ProgramColumns,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the commands as CSV.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="Write the commands as CSV, or the corrected robot program."
+        ),
     ] = None,
     send: Annotated[
-        Literal["both", "joints", "poses"],
+        Literal["both", "joints", "poses"] | None,
         typer.Option(
-            help="What is written: the joint values to command, the poses to send, or both."
+            help="What is written of a table: the joint values to command, the poses to send, or both, the default."
         ),
-    ] = "both",
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -229,71 +338,102 @@ def compensate(
     It raises `VerdictError` for a verdict 'do not use' that was not accepted, and `CalibError` if rows have no command,
     unless they are to be skipped and others have one.
     """
-    from calib.basics.tables import Table
     from calib.basics.units import MASS, parse_amount, parse_joint_values
-    from calib.data.columns import column_names
-    from calib.data.inputs import chain_of
-    from calib.result.calibration_file import read_result
     from calib.robot.gravity import Payload
-    from calib.show.verdict_text import do_not_use_text, refusal
+    from calib.show.verdict_text import refusal
     from calib.verbs.compensate.compensate import compensate as compute_commands
-    from calib.verbs.compensate.nominal_actual import chain_of_hand
     from calib.verbs.compensate.program_table import read_program, write_commands
+    from calib.verbs.compensate.programs.correction import corrected
+    from calib.verbs.compensate.programs.dialects import find_dialect, read_program_file
+    from calib.verbs.compensate.programs.program_file import Stated
+    from calib.verbs.compensate.programs.program_output import output_paths, write_program
+    from calib.verbs.compensate.programs.text import not_reached_text, program_text
     from calib.verbs.compensate.text import no_commands, text
 
     source = model_options.source
-    check_outputs([output], [robot, program, source, cell_options.file], force=force)
-    cell = cell_options.cell()
     columns = column_options.parsed()
-
-    # The model of the real robot, the nominal one with the same chain, and the verdict on the model if it is negative.
-    actual: Calibration | Robot
-    calibrated_payload: Payload | None = None
-    remedy = ""
-    if model_options.calibration is not None:
-        actual = result = read_result(model_options.calibration)
-        with_chain = _with_chain_of(result, cell, str(source))
-        if result.nominal.branches:
-            target = tool.partition(":")[2] if tool and tool.startswith("target") else None
-            # --tip LINK, or as for the fit, --tip NAME=LINK; the base likewise.
-            tip = _only_link(cell.tip, cell.tips)
-            hand = chain_of_hand(result, tip, target, _only_link(cell.base, cell.bases))
-            nominal = load(robot, with_chain, result=result).rebuilt(None, *hand)
-            _check_hand(program, column_names(Table.read(program), columns), nominal, result)
-        else:
-            nominal = load(robot, with_chain)
-        if result.non_geometric:
-            calibrated_payload = result.non_geometric.payload
-        stated = do_not_use_text(result.verdict_on(non_geometric=not model_options.geometry))
-        if stated and not do_not_use_text(result.verdict):
-            remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
+    tools = tool or []
+    dialect = find_dialect(program)
+    if dialect is not None:
+        _refuse(
+            f"{program} is a robot program ({dialect.name})",
+            {
+                "--send": send,
+                "--poses-in": poses_in != _BASE,
+                "--match": match,
+                "--columns": column_options.columns,
+                "--joint-unit": column_options.joint_unit,
+            },
+        )
     else:
-        nominal = load(robot, cell, column_names(Table.read(program), columns))
-        actual = load(str(model_options.corrected), chain_of(nominal))
-        stated = actual.urdf.verdict
-    if stated and not model_options.accept:
-        raise VerdictError(refusal(f"'{source}'", stated) + remedy)
-
-    rows = read_program(
-        program,
-        nominal,
-        columns=columns,
-        match=match,
-        start=parse_joint_values(start or [], "--start"),
+        _refuse(
+            f"{program} is a table",
+            {
+                "--frame": program_options.frame,
+                "--data": program_options.data,
+                "--pulses": program_options.pulses,
+                "a second --tool": tools[1:],
+            },
+        )
+        check_outputs([output], [robot, program, source, cell_options.file], force=force)
+    target = None
+    if tools and tools[0].startswith("target"):
+        target = tools[0].partition(":")[2]
+    models = _load_models(
+        robot, None if dialect else program, model_options, cell_options.cell(), columns, target
     )
+    nominal, stated = models.nominal, models.stated
+    if stated and not model_options.accept:
+        raise VerdictError(refusal(f"'{source}'", stated) + models.remedy)
+
+    starts = parse_joint_values(start or [], "--start")
     length, angle = parse_pair(tolerance, "--tolerance", "0.05 mm 0.01 deg")
+    tolerances = (length or _TOLERANCE, angle or _TOLERANCE)
     non_geometric: bool | Payload = not model_options.geometry
     if model_options.payload:
         mass = parse_amount(model_options.payload, "--payload", MASS, "5 kg")
         # The centre of mass is that of the calibration, or else the tip.
-        non_geometric = replace(calibrated_payload or Payload(mass), mass=mass)
+        non_geometric = replace(models.payload or Payload(mass), mass=mass)
+
+    if dialect is not None:
+        orientation = column_options.orientation
+        given = Stated(
+            nominal.joint_names,
+            tools=_named_poses(tools, "--tool", orientation),
+            frames=_named_poses(program_options.frame or [], "--frame", orientation),
+            data=tuple(program_options.data or []),
+            pulses=parse_pulses(program_options.pulses or [], nominal.joint_names),
+        )
+        file = read_program_file(program, given)
+        if output is not None:
+            own = [] if force else [text.path for text in file.texts]
+            inputs = [*own, robot, source, cell_options.file]
+            check_outputs(output_paths(file, output), inputs, force=force)
+        result = corrected(
+            file,
+            nominal,
+            models.actual,
+            start=starts,
+            tolerance=tolerances,
+            non_geometric=non_geometric,
+            accept=model_options.accept,
+        )
+        if any(result.reasons) and not (skip and result.is_corrected.any()):
+            raise CalibError(not_reached_text(result))
+        written = () if output is None else write_program(result, output, overwrite=force)
+        if not quiet:
+            typer.echo(program_text(result, Path(source).name, written))
+        say_accepted(f"'{source}'", stated)
+        return
+
+    rows = read_program(program, nominal, columns=columns, match=match, start=starts)
     commands = compute_commands(
-        actual,
+        models.actual,
         rows,
         nominal=nominal,
-        tool=parse_tool(tool) if tool else None,
+        tool=parse_tool(tools[0]) if tools else None,
         frame={_BASE: None, _MEASURED: ""}.get(poses_in, poses_in),
-        tolerance=(length or _TOLERANCE, angle or _TOLERANCE),
+        tolerance=tolerances,
         non_geometric=non_geometric,
         accept=model_options.accept,
     )
@@ -303,10 +443,81 @@ def compensate(
 
     if output is not None:
         orientation = column_options.orientation or rows.form or columns.brand
-        write_commands(commands, output, send=send, orientation=orientation, overwrite=force)
+        write_commands(
+            commands, output, send=send or "both", orientation=orientation, overwrite=force
+        )
     if not quiet:
         typer.echo(text(commands, Path(source).name, output))
     say_accepted(f"'{source}'", stated)
+
+
+def _refuse(what: str, options: Mapping[str, object]) -> None:
+    """Refuse, by a `CalibError`, options by their names that were given and do not go with a program."""
+    given = [name for name, value in options.items() if value]
+    if given:
+        raise CalibError(f"{what}, with which {choices(given)} cannot be used; leave it out.")
+
+
+@dataclass(frozen=True, slots=True)
+class _Models:
+    """Both robots, and what the verdict says."""
+
+    nominal: Robot
+    actual: Calibration | Robot
+    #: Payload of the calibration's non-geometric model, if it has one.
+    payload: Payload | None
+    #: The verdict on the model, if it is negative; else empty.
+    stated: str
+    #: What can be done about it.
+    remedy: str
+
+
+def _load_models(
+    robot: str,
+    table: Path | None,
+    options: ModelChoice,
+    cell: Cell,
+    columns: ColumnOptions,
+    target: str | None,
+) -> _Models:
+    """Load the model of the real robot and the nominal one with the same chain.
+
+    The columns of a ``table``, if the program is one, and the ``target`` that is the tool, if it is one, determine the
+    chain of a robot of several.
+    """
+    from calib.basics.tables import Table
+    from calib.data.columns import column_names
+    from calib.data.inputs import chain_of
+    from calib.result.calibration_file import read_result
+    from calib.show.verdict_text import do_not_use_text
+    from calib.verbs.compensate.nominal_actual import chain_of_hand
+
+    names = None
+    if options.calibration is None:
+        if table is not None:
+            names = column_names(Table.read(table), columns)
+        nominal = load(robot, cell, names)
+        actual = load(str(options.corrected), chain_of(nominal))
+        return _Models(nominal, actual, None, actual.urdf.verdict, "")
+
+    result = read_result(options.calibration)
+    with_chain = _with_chain_of(result, cell, str(options.calibration))
+    if result.nominal.branches:
+        # --tip LINK, or as for the fit, --tip NAME=LINK; the base likewise.
+        tip = _only_link(cell.tip, cell.tips)
+        hand = chain_of_hand(result, tip, target, _only_link(cell.base, cell.bases))
+        nominal = load(robot, with_chain, result=result).rebuilt(None, *hand)
+        if table is not None:
+            names = column_names(Table.read(table), columns)
+            _check_hand(table, names, nominal, result)
+    else:
+        nominal = load(robot, with_chain)
+    payload = result.non_geometric.payload if result.non_geometric else None
+    stated = do_not_use_text(result.verdict_on(non_geometric=not options.geometry))
+    remedy = ""
+    if stated and not do_not_use_text(result.verdict):
+        remedy = " --geometry leaves out the non-geometric model, which this verdict is on."
+    return _Models(nominal, result, payload, stated, remedy)
 
 
 def _only_link(link: str | None, by_name: Mapping[str, str]) -> str | None:

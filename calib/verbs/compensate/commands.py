@@ -34,8 +34,9 @@ class CommandWarning(NamedTuple):
 
     code: Code
     #: Of "unreachable", "large pose correction", "ambiguous pose": position [m] and angle [rad], NaN if it is not
-    #: matched; "beyond limit": value and limit; "near singularity": joint motion for 1 mm of the tool; else the motion
-    #: of the joint, or its distance from the measured range [rad or m].
+    #: matched, and none if the nominal robot cannot reach a target of a robot program; "beyond limit": value and limit;
+    #: "near singularity": joint motion for 1 mm of the tool; else the motion of the joint, or its distance from the
+    #: measured range [rad or m].
     numbers: tuple[float, ...] = ()
     #: The joint that it is about; empty if it is about none.
     joint: str = ""

@@ -115,22 +115,22 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
             f"{robot.urdf.source} has the corrected joint origins: the commands are for a controller with this model, "
             "and correct only what the non-geometric model adds. For a controller with the nominal model give its URDF."
         )
-    notes += _approach_notes(pair)
+    notes += approach_notes(pair)
     if pair.target is not None:
         notes.append(
-            f"Set the controller's tool to {_place(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send refer "
-            "to that tool."
+            f"Set the controller's tool to {place_text(pair.nominal.T_tip_tool)} in '{robot.tip}'; the poses to send "
+            "refer to that tool."
         )
     if pair.group is not None:
-        place = _place(rigid_inverse(pair.T_frame_base))
+        place = place_text(rigid_inverse(pair.T_frame_base))
         notes.append(
             f"Set the controller's work object to {place} in '{robot.base}'; the poses to send refer to it."
         )
     parts = [
-        _verdict(commands, name),
-        _expected_errors(commands),
+        verdict_paragraph(commands, name),
+        expected_paragraphs(commands),
         _program(commands),
-        _corrections(commands),
+        corrections_table(commands),
         *[fill(note) for note in notes if note],
         _findings_paragraph(commands, "without a command", _reasons(commands)),
         _findings_paragraph(commands, "with a warning", commands.warnings),
@@ -139,8 +139,12 @@ def text(commands: Commands, name: str, written: Path | None) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def _approach_notes(pair: Pair) -> list[str]:
-    """Say what the commands rest on if joints stop short: the order of the rows, or the side of the approach."""
+def approach_notes(pair: Pair) -> list[str]:
+    """Say what commands rest on if joints stop short: the order of the rows, or the side of the approach.
+
+    Args:
+        pair: The robots that the commands are for.
+    """
     if pair.actual.kinematics.model.depends_on_moves:
         return [
             "Where a joint stops depends on its last move, so the rows are corrected in their order: keep it. How the "
@@ -163,7 +167,8 @@ def no_commands(commands: Commands) -> str:
     )
     missing = sum(~commands.reached)
     head = f"{missing} of {len(commands)} rows have no command, and nothing was written:"
-    return "\n".join([head, *_findings(commands, _reasons(commands)), fill(advice)])
+    found = findings_lines(commands.program.labels, _reasons(commands), commands.nominal)
+    return "\n".join([head, *found, fill(advice)])
 
 
 def _reasons(commands: Commands) -> list[tuple[CommandWarning, ...]]:
@@ -178,21 +183,28 @@ def _findings_paragraph(
     if not any(rows):
         return ""
     head = f"Rows {what}: {sum(map(bool, rows))} of {len(commands)}"
-    return "\n".join([head, *_findings(commands, rows)])
+    return "\n".join([head, *findings_lines(commands.program.labels, rows, commands.nominal)])
 
 
-def _findings(commands: Commands, rows: Sequence[Sequence[CommandWarning]]) -> list[str]:
-    """Write lines of findings, given for each row: for each code its first row, and how many more have it."""
+def findings_lines(
+    labels: Sequence[str], rows: Sequence[Sequence[CommandWarning]], robot: Robot
+) -> list[str]:
+    """Write lines of findings: for each code its first row, and how many more have it.
+
+    Args:
+        labels: What each row is called.
+        rows: The findings about each row.
+        robot: The robot, whose joint types decide on units.
+    """
     by_code: dict[str, dict[str, CommandWarning]] = {}
-    for label, findings in zip(commands.program.labels, rows, strict=True):
+    for label, findings in zip(labels, rows, strict=True):
         for finding in findings:
             by_code.setdefault(finding.code, {}).setdefault(label, finding)
     lines = []
     for by_row in by_code.values():
         first, *others = by_row
         more = f"; and {len(others)} more" if others else ""
-        words = finding_text(by_row[first], commands.nominal)
-        lines.append(fill(f"{first}: {words}{more}", "  ", "  "))
+        lines.append(fill(f"{first}: {finding_text(by_row[first], robot)}{more}", "  ", "  "))
     return lines
 
 
@@ -215,12 +227,19 @@ def finding_text(finding: CommandWarning, robot: Robot) -> str:
         if not np.isnan(numbers[1]):
             miss += f", {_DEG * numbers[1]:.4f} deg"
     scaled = [factor * number for number in numbers]
+    if finding.code == "unreachable" and not numbers:
+        return "the nominal robot reaches it at no joint values inside its limits"
     words = {"joint": finding.joint, "row": finding.row, "unit": unit, "miss": miss}
     return _TEXTS[finding.code].format(*scaled, **words)
 
 
-def _verdict(commands: Commands, name: str) -> str:
-    """Write the verdict on the model in use, which is from the file ``name``, and its reasons; which model that is."""
+def verdict_paragraph(commands: Commands, name: str) -> str:
+    """Write the verdict on the model in use, with its reasons, and which model that is.
+
+    Args:
+        commands: The commands.
+        name: The file that the model is from.
+    """
     pair = commands.pair
     if pair.result is None:
         lines = [
@@ -243,10 +262,14 @@ def _verdict(commands: Commands, name: str) -> str:
     return "\n".join(lines)
 
 
-def _expected_errors(commands: Commands) -> str:
+def expected_paragraphs(commands: Commands, noun: str = "row") -> str:
     """Write the expected position error, its sources, and what lowers the largest; empty if it is not known.
 
     The table of sources has the mean error that each would leave alone, and its share of the mean square.
+
+    Args:
+        commands: The commands.
+        noun: What a row of the commands is.
     """
     expected = commands.expected
     if expected is None:
@@ -256,7 +279,7 @@ def _expected_errors(commands: Commands) -> str:
     worst = labels[int(np.argmax(errors))]
     low, high = expected.band
     sentence = (
-        f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the rows), {errors.max():.3f} mm at "
+        f"Expect position errors of {_MM * expected.mean:.3f} mm (mean over the {noun}s), {errors.max():.3f} mm at "
         f"{worst}. Of ten calibrations like this one, {10 * BAND:.0f} have a mean between "
         f"{_MM * low:.3f} and {_MM * high:.3f} mm."
     )
@@ -334,7 +357,7 @@ def _program(commands: Commands) -> str:
         if pair.group:
             frame += f" of {pair.group!r}"
     text = (
-        f"Program: {len(commands)} rows of {content}. Tool: {_place(pair.actual.T_tip_tool)} in '{robot.tip}'. "
+        f"Program: {len(commands)} rows of {content}. Tool: {place_text(pair.actual.T_tip_tool)} in '{robot.tip}'. "
         f"Matched: {_MATCHED[commands.match]}. Poses are in {frame}."
     )
     kept = ", ".join(label for label, _ in program.kept if label)
@@ -344,9 +367,14 @@ def _program(commands: Commands) -> str:
     return fill(f"{text} {coupling}" if coupling else text)
 
 
-def _corrections(commands: Commands) -> str:
-    """Write the table of errors with and without compensation, and of corrections, of rows with commands [mm, deg]."""
-    title = f"By the calibrated model, rows with commands: {int(commands.reached.sum())}"
+def corrections_table(commands: Commands, noun: str = "row") -> str:
+    """Write the table of errors with and without compensation, and of corrections, in mm and deg.
+
+    Args:
+        commands: The commands; rows without one do not count.
+        noun: What a row of the commands is.
+    """
+    title = f"By the calibrated model, {noun}s with commands: {int(commands.reached.sum())}"
     columns = [name_column(title, _LABEL)]
     columns += [Column(head, 9) for head in ("max mm", "mean mm", "max deg", "mean deg")]
     rows = []
@@ -383,8 +411,12 @@ def _errors_and_corrections(commands: Commands) -> dict[str, tuple[Array, Array]
     return pairs
 
 
-def _place(T: Array) -> str:
-    """Format a pose as its position [mm] and, if it is rotated, its rotation vector [deg]."""
+def place_text(T: Array) -> str:
+    """Format a pose as its position [mm] and, if it is rotated, its rotation vector [deg].
+
+    Args:
+        T: The pose, shape (4, 4) [m].
+    """
     turn = _DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
     text = f"({_listed(_MM * T[:3, 3])}) mm"
     if np.abs(turn).max() > _ROUNDING_DEG:

@@ -97,13 +97,6 @@ class CorrectedProgram(Value):
     rounded: Array
 
     @property
-    def changed(self) -> tuple[bool, ...]:
-        """Whether each text differs from the one that was read."""
-        return tuple(
-            new.text != old.text for new, old in zip(self.texts, self.program.texts, strict=True)
-        )
-
-    @property
     def is_corrected(self) -> Mask:
         """Which of the N motions go to a target that is as the true robot needs it, shape (N,)."""
         return np.isfinite(self.corrections[:, 0])

@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 
+from calib.errors import MeasurementError, choices
 from calib.verbs.compensate.programs.program_file import ProgramFile, Stated
 
 #: Reads a program and the files beside it. It raises `MeasurementError` for what is not a program of its language, and
@@ -45,3 +46,28 @@ _ROWS = (
 DIALECTS: Mapping[str, Dialect] = MappingProxyType(
     {ending: row for row in _ROWS for ending in row.endings}
 )
+
+
+def find_dialect(path: str | Path) -> Dialect | None:
+    """Return the language of a program by the ending of its file's name; None: it is not a program but a table."""
+    return DIALECTS.get(Path(path).suffix.lower())
+
+
+def read_program_file(path: str | Path, stated: Stated) -> ProgramFile:
+    """Read a program in the language that the ending of its name says, and the files beside it.
+
+    Args:
+        path: The program.
+        stated: What its files do not say.
+
+    Returns:
+        The program.
+
+    Raises:
+        FileError: It cannot be read.
+        MeasurementError: It is not a program of this language, or tools and frames have to be stated.
+    """
+    dialect = find_dialect(path)
+    if dialect is None:
+        raise MeasurementError(f"{path}: calib reads programs by the endings {choices(DIALECTS)}.")
+    return dialect.read(Path(path), stated)

@@ -69,7 +69,7 @@ _FAR = 0.1
 #: Joint values may exceed their limits by this: digits that were not written [rad or m].
 _ROUNDING = 1e-4
 
-#: After so many motions in a row without joint values no more are searched for from nothing.
+#: So many poses in a row that cannot be reached are not those of this robot.
 _HOPELESS = 50
 
 _TURN = 2.0 * np.pi
@@ -99,7 +99,7 @@ def nominal_values(
         The joint values of the motions, in their order.
 
     Raises:
-        MeasurementError: Where the arm is at the first pose is not known.
+        MeasurementError: Where the arm is at the first pose is not known, or it reaches none of many poses.
         ModelError: A start that does not fit the robot.
     """
     return _Search(robot, program, start).found()
@@ -210,7 +210,13 @@ class _Search:
             # Those found from the solutions of other poses may not be all.
             self.solutions[i] = joint_solutions(self.robot, T)[0]
             chosen, missing = self._nearest(i, before)
-            self.in_vain = 0 if missing is None else self.in_vain + 1
+        self.in_vain = self.in_vain + 1 if missing == "unreachable" else 0
+        if self.in_vain > _HOPELESS:
+            raise MeasurementError(
+                f"{self._place(i)}: the nominal robot reaches none of {_HOPELESS} poses in a row that end here. Check "
+                "the tools and frames (--tool, --frame), and that the robot's base and tip are the controller's base "
+                "and flange (--base, --tip)."
+            )
         return chosen, missing
 
     def _nearest(self, i: int, before: Array | None) -> tuple[Array | None, Missing | None]:
@@ -235,12 +241,15 @@ class _Search:
         turned = self.robot.readings(by_whole_turns(self.robot, values, seed, allowed))
         return turned[np.argmin(np.abs(turned - before).sum(axis=1))], None
 
+    def _place(self, i: int) -> str:
+        """Return the place of a motion, for messages."""
+        move = self.moves[i]
+        return f"{self.program.texts[move.file].path}, line {move.line}"
+
     def _start_needed(self, i: int) -> MeasurementError:
         """Return the message that joint values to start near are needed."""
-        move = self.moves[i]
-        text = self.program.texts[move.file]
         return MeasurementError(
-            f"{text.path}, line {move.line}: the program begins with a pose without configuration data, which the arm "
+            f"{self._place(i)}: the program begins with a pose without configuration data, which the arm "
             "reaches in several ways. State joint values near which it is then, such as "
             f'--start "{self.robot.joint_names[0]}=0 deg"; the joints are {choices(self.robot.joint_names)}.'
         )

@@ -59,16 +59,13 @@ def written_number(
     if match is None:
         raise ValueError(f"{old!r} is not a number")
     sign, gap, whole, point, fraction, letter, exponent_sign, exponent_digits = match.groups()
-    exponent = 0
-    if letter:
-        exponent = int((exponent_sign or "") + exponent_digits)
-        decimals += exponent
-    count = max(decimals, len(fraction or ""), 0)
-    if most_decimals is not None:
-        count = min(count, most_decimals)
+    exponent = int((exponent_sign or "") + exponent_digits) if letter else 0
     mantissa = value / 10.0**exponent
     if letter and not 1e-4 <= abs(mantissa) < _LARGEST_MANTISSA:
-        mantissa, letter, count = value, None, max(count - exponent, 0)
+        exponent, mantissa, letter, fraction = 0, value, None, fraction and ""
+    count = max(decimals + exponent, len(fraction or ""), 0)
+    if most_decimals is not None:
+        count = min(count, most_decimals)
     digits = f"{abs(mantissa):.{count}f}"
     is_zero = not digits.strip("0.")
     if not whole and fraction and digits.startswith("0."):

@@ -30,11 +30,12 @@ def plain(
     convention: str = "kuka",
     tools: Sequence[np.ndarray] = (),
     frame: np.ndarray | None = None,
+    frames: Sequence[np.ndarray] = (),
     most_decimals: int | None = None,
     configuration: Callable[[int], Configuration | None] = lambda _: None,
     same: dict[int, int] | None = None,
 ) -> ProgramFile:
-    """The program of a text; ``tools`` by motion, ``same`` the target of a motion that goes to that of another."""
+    """The program of a text; ``tools`` and ``frames`` by motion, ``same`` the motion whose target another one has."""
     found = find_convention(convention)
     targets, moves, start = [], [], 0
     for line, words in enumerate(text.splitlines(keepends=True), 1):
@@ -45,7 +46,7 @@ def plain(
         ]
         start += len(words)
         degrees = np.pi / 180.0
-        scales = [degrees] * 6
+        scales = [degrees] * len(numbers)
         if letter != "J":
             scales = [1e-3] * 3 + [1.0 if found.unit == "" else degrees] * (len(numbers) - 3)
             if found.unit == "rad":
@@ -63,6 +64,22 @@ def plain(
         )
         tool = tools[line - 1] if tools else np.eye(4)
         of_frame = None if letter == "J" else (np.eye(4) if frame is None else frame)
+        if frames and of_frame is not None:
+            of_frame = frames[line - 1]
         number = (same or {}).get(line, line) - 1
         moves.append(Move(number, 0, line, MOTIONS[letter], tool, of_frame))
     return ProgramFile((ProgramText(Path("p.txt"), text),), tuple(targets), tuple(moves))
+
+
+def line_of(letter: str, content: np.ndarray, convention: str = "kuka", decimals: int = 9) -> str:
+    """A line of a plain program: joint values (m,) [rad] or a pose (4, 4) [m], in mm and deg."""
+    if content.ndim == 1:
+        numbers = [f"{x:.{decimals}f}" for x in np.degrees(content)]
+    else:
+        found = find_convention(convention)
+        turn = found.numbers(content[None, :3, :3])[0]
+        turn = np.degrees(turn) if found.unit == "deg" else turn
+        few = decimals if found.unit == "deg" else decimals + 4
+        numbers = [f"{x:.{decimals}f}" for x in 1e3 * content[:3, 3]]
+        numbers += [f"{x:.{few}f}" for x in turn]
+    return f"{letter} {' '.join(numbers)} # 1.5\n"
