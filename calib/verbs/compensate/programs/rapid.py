@@ -329,6 +329,7 @@ class _Program:
         self._missing_tools: dict[str, None] = {}
         self._missing_frames: dict[str, None] = {}
         self._mentioned: set[int] = set()
+        self._poses: dict[int, Array | None] = {}
         self._find_changes()
 
     def read(self) -> ProgramFile:
@@ -873,6 +874,13 @@ class _Program:
         )
 
     def _pose(self, value: Value | None) -> Array | None:
+        """Return the pose (4, 4) [m] that an aggregate of a position and a quaternion is, or None; of each once."""
+        key = id(value)
+        if key not in self._poses:
+            self._poses[key] = self._new_pose(value)
+        return self._poses[key]
+
+    def _new_pose(self, value: Value | None) -> Array | None:
         """Return the pose (4, 4) [m] that an aggregate of a position and a quaternion is, or None."""
         if not isinstance(value, Aggregate) or len(value.items) != 2:
             return None

@@ -241,6 +241,7 @@ class _Program:
         self._targets: dict[int, int] = {}
         self._target_list: list[Target] = []
         self._known: dict[str, Numbers] = {}
+        self._poses: dict[int, Array | None] = {}
         self._own_variables()
         self._relevant = self._relevant_names()
         self._read_data()
@@ -686,8 +687,14 @@ class _Program:
             return self._stated.frames.get("")
         return self._pose_of(self._literals[frame.start])
 
+    def _pose_of(self, literal: Numbers) -> Array | None:
+        """Return the pose (4, 4) [m] that numbers are, or None if they are none; of each once."""
+        if id(literal) not in self._poses:
+            self._poses[id(literal)] = self._new_pose(literal)
+        return self._poses[id(literal)]
+
     @staticmethod
-    def _pose_of(literal: Numbers) -> Array | None:
+    def _new_pose(literal: Numbers) -> Array | None:
         """Return the pose (4, 4) [m] that numbers are, or None if they are none."""
         if not literal.is_pose or literal.numbers is None or len(literal.numbers) != 6:
             return None
