@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
 import sys
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing
 from docutils import nodes  # type: ignore[import-untyped]
+from docutils.utils.math import latex2mathml  # type: ignore[import-untyped]
 from pygments.lexers.special import TextLexer  # type: ignore[import-untyped]
 from sphinx.addnodes import desc_signature, pending_xref
 from sphinx.application import Sphinx
@@ -50,7 +53,7 @@ author = "The calib developers"
 copyright = author
 version = release = calib.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_design"]
 root_doc = "index"
 nitpicky = True
 smartquotes = False
@@ -59,6 +62,9 @@ suppress_warnings = ["config.cache"]
 
 # Anchors of headings are those of Git hosts, so that links work in both places.
 myst_heading_anchors = 4
+# Equations, as Git hosts typeset them; here they become MathML, which browsers draw without a script.
+myst_fence_as_directive = {"math"}
+html_math_renderer = "mathml"
 
 autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
@@ -117,12 +123,21 @@ _FOREIGN = (
 def setup(app: Sphinx) -> None:
     """Connect the functions below with Sphinx's events."""
     app.add_lexer("csv", TextLexer)
+    app.add_html_math_renderer("mathml", (_inline_math, None), (_display_math, None))
     app.connect("source-read", _read_page)
     app.connect("autodoc-process-docstring", _docstring, priority=400)  # before napoleon
     app.connect("autodoc-process-docstring", _types, priority=600)  # after it
     app.connect("autodoc-process-signature", _signature)
     app.connect("doctree-read", _short_contents, priority=400)  # before the contents are collected
     app.connect("missing-reference", _elsewhere)
+    app.connect("build-finished", _copy_pages)
+
+
+def _copy_pages(app: Sphinx, error: Exception | None) -> None:
+    """Put the list of pages for assistants into the site, and the pages as they are written, to which it leads."""
+    if error is None:
+        for page in (HERE / "llms.txt", *HERE.glob("*.md")):
+            shutil.copy(page, app.outdir)
 
 
 def _read_page(_: Sphinx, _name: str, source: list[str]) -> None:
@@ -138,6 +153,19 @@ def _read_page(_: Sphinx, _name: str, source: list[str]) -> None:
     # Folders and sources are not part of the site.
     text = re.sub(r"\[([^][]+)\]\(\.\./[^)]*\)", r"\1", text)
     source[0] = text
+
+
+def _inline_math(translator: Any, node: nodes.math) -> None:  # noqa: ANN401  of Sphinx's many builders
+    """Write an equation within a line."""
+    translator.body.append(latex2mathml.tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def _display_math(translator: Any, node: nodes.math_block) -> None:  # noqa: ANN401
+    """Write an equation that stands alone."""
+    equation = latex2mathml.tex2mathml(node.astext(), as_block=True)
+    translator.body.append(f'<div class="equation">{equation}</div>\n')
+    raise nodes.SkipNode
 
 
 def _lines(indent: str, names: list[str]) -> str:

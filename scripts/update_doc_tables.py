@@ -1,10 +1,11 @@
-"""Write the tables in the docs that are made of what calib declares: keys of records, columns of tables of errors.
+"""Write what in the docs is made of something else: keys of records, columns of tables of errors, the list of pages.
 
     python scripts/update_doc_tables.py
 
 A table of keys stands between ``<!-- keys of calib.data.cell.Cell -->`` and ``<!-- end of keys -->``; the name is that
 of the record whose keys it has. The columns of errors stand between ``<!-- columns of errors -->`` and
-``<!-- end of columns -->``. A test fails while a table in the docs differs from the one that this script writes.
+``<!-- end of columns -->``. ``llms.txt`` lists all pages with their first paragraphs, for assistants. A test fails
+while anything in the docs differs from what this script writes.
 """
 
 from __future__ import annotations
@@ -28,6 +29,31 @@ def main() -> None:
     for page in sorted(DOCS.glob("*.md")):
         text = page.read_text(encoding="utf-8")
         page.write_text(with_tables(text), encoding="utf-8")
+    (DOCS / "llms.txt").write_text(list_of_pages(), encoding="utf-8")
+
+
+def list_of_pages() -> str:
+    """Return the pages in the order of the site's contents, under its captions, each with its first paragraph."""
+    index = (DOCS / "index.rst").read_text(encoding="utf-8")
+    summary = index.split("\n\n")[1].replace("\n", " ")
+    lines = [
+        "# calib",
+        "",
+        f"> {summary}",
+        "",
+        "How an assistant uses calib for somebody: AGENTS.md in the repository.",
+    ]
+    for caption, names in re.findall(r":caption: (.+)\n\n((?:   [\w/-]+\n)+)", index):
+        lines += ["", f"## {caption}", ""]
+        for name in names.split():
+            page = DOCS / f"{name}.md"
+            if page.exists():
+                title, paragraph = page.read_text(encoding="utf-8").split("\n\n")[:2]
+                words = re.sub(
+                    r"\[([^]]*)\]\([^)]*\)|\{doc\}`([^`]*)`", r"\1\2", " ".join(paragraph.split())
+                )
+                lines.append(f"- [{title.removeprefix('# ')}]({name}.md): {words}")
+    return "\n".join(lines) + "\n"
 
 
 def with_tables(text: str) -> str:

@@ -50,3 +50,10 @@ def test_defaults_are_those_of_the_fields():
     ] == cell.gravity.tolist()
     assert float(defaults["prior_length_mm"]) == pytest.approx(1e3 * cell.priors.of("length"))
     assert float(defaults["prior_compliance_rad_per_Nm"]) == cell.priors.of("compliance")
+
+
+def test_the_list_for_assistants_has_every_page():
+    text = (ROOT / "docs" / "llms.txt").read_text(encoding="utf-8")
+    assert text == update_doc_tables.list_of_pages(), "run scripts/update_doc_tables.py"
+    for page in (ROOT / "docs").glob("*.md"):
+        assert f"]({page.name}): " in text, page.name

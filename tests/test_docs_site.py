@@ -81,6 +81,16 @@ def test_every_page_stands_in_one_list_of_contents():
     assert pages - set(named) <= {path.stem for path in DOCS.glob("*.md")}
 
 
+def test_the_cards_lead_to_pages_with_a_command_on_the_first_screen():
+    index = (DOCS / "index.rst").read_text(encoding="utf-8")
+    cards = re.findall(r"grid-item-card:: .+\n +:link: ([\w-]+)\n", index)
+    assert len(cards) == 9
+    for card in cards:
+        lines = (DOCS / f"{card}.md").read_text(encoding="utf-8").splitlines()
+        first = next(n for n, line in enumerate(lines) if re.match(r"(calib|make|pip) \w", line))
+        assert first < 30, card
+
+
 def test_links_anchors_and_named_files_lead_somewhere():
     for page in PAGES:
         for target in links(page):
@@ -237,7 +247,7 @@ HERE = (
 )
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
-CALLED = ("fleet.md", "report.md")
+CALLED = ("fleet.md", "report.md", "ros.md")
 
 
 def python(page: str) -> str:

@@ -141,10 +141,10 @@ def find(c: Calibration, name: str) -> Placed:
         kinds, name = [what], after
     if not kinds:
         known = [*stations, *targets, *robots, *urdf.links]
+        further = f"further robots {choices(robots)}, " if robots else ""
         raise ModelError(
             f"There is no station, target, robot or link '{name}'{did_you_mean(name, known)}; stations are "
-            f"{choices(stations)}, targets {choices(targets)}, further robots {choices(robots)}, links "
-            f"{choices(urdf.links)}."
+            f"{choices(stations)}, targets {choices(targets)}, {further}links {choices(urdf.links)}."
         )
     if len(kinds) > 1:
         ways = choices(f"{kind}:{name}" for kind in kinds)

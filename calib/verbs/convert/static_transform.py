@@ -195,17 +195,21 @@ def transform_text(conversion: Conversion) -> list[str]:
     sentence = (
         f"'{transform.child}' is at {pose} in '{transform.parent}'. It goes with the corrected robot; publish it only "
         "if robot_state_publisher does not have this frame from its URDF, because a frame has one parent. MoveIt reads "
-        "it from tf2, and needs nothing else; images and point clouds must come with the frame_id of the camera's "
-        "optical frame."
+        "it from tf2, and needs nothing else"
     )
+    calibration = conversion.source.calibration
+    if calibration is not None and calibration.optics.cameras:
+        sentence += (
+            "; images and point clouds must come with the frame_id of the camera's optical frame"
+        )
     path = shlex.quote(str(conversion.path))
     start = "ros2 launch" if conversion.path.suffix.lower() == LAUNCH else "sh"
-    return [fill(sentence), f"  {start} {path}"]
+    return [fill(f"{sentence}."), f"  {start} {path}"]
 
 
 FORMATS = {
     "static-transform": Format(
-        "the camera's pose for ROS 2's static_transform_publisher",
+        "a constant pose for ROS 2's static_transform_publisher",
         (".sh", LAUNCH),
         _write,
         of_camera=True,
