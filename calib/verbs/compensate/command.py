@@ -403,6 +403,7 @@ def compensate(
             frames=_named_poses(program_options.frame or [], "--frame", orientation),
             data=tuple(program_options.data or []),
             pulses=parse_pulses(program_options.pulses or [], nominal.joint_names),
+            robot=nominal,
         )
         file = read_program_file(program, given)
         if output is not None:
