@@ -249,6 +249,14 @@ class _Found:
     code: LeftCode | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class _Unknown:
+    """A tool or work object that is not known, or not one of a robot that holds its tool, and why."""
+
+    code: LeftCode
+    name: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Visit:
     """A statement that runs in a scope, and the settings that are possible then."""
@@ -753,28 +761,24 @@ class _Program:
         if not isinstance(target, Target):
             self._leave(visit, target, what)
             return
-        T_tip_tool: Array | str | None = self._tool(tool, visit.scope)
-        T_base_frame: Array | str | None = None
+        T_tip_tool: Array | _Unknown | None = self._tool(tool, visit.scope)
+        T_base_frame: Array | _Unknown | None = None
         if to_joints:
-            T_tip_tool = None if isinstance(T_tip_tool, str) else T_tip_tool
+            T_tip_tool = None if isinstance(T_tip_tool, _Unknown) else T_tip_tool
         else:
-            frame = visit.call.options.get("wobj")
-            T_base_frame = self._frame(frame, visit.scope)
-            problem = T_tip_tool if isinstance(T_tip_tool, str) else T_base_frame
-            if isinstance(problem, str):
-                code, _, of = problem.partition("|")
-                for missing, kept in (
-                    (T_tip_tool, self._missing_tools),
-                    (T_base_frame, self._missing_frames),
-                ):
-                    if isinstance(missing, str) and missing.startswith("other file|"):
-                        kept[missing.partition("|")[2]] = None
-                self._leave(visit, _LEFT_CODES[code], f"{what}, {of}")
-                return
+            T_base_frame = self._frame(visit.call.options.get("wobj"), visit.scope)
+        if isinstance(T_tip_tool, _Unknown):
+            if T_tip_tool.code == "other file":
+                self._missing_tools[T_tip_tool.name] = None
+            self._leave(visit, T_tip_tool.code, f"{what}, {T_tip_tool.name}")
+        if isinstance(T_base_frame, _Unknown):
+            if T_base_frame.code == "other file":
+                self._missing_frames[T_base_frame.name] = None
+            self._leave(visit, T_base_frame.code, f"{what}, {T_base_frame.name}")
+        if isinstance(T_tip_tool, _Unknown) or isinstance(T_base_frame, _Unknown):
+            return
         file = visit.scope.module.file
         line = self._line(file, visit.call.tokens[0].start)
-        assert not isinstance(T_tip_tool, str)
-        assert not isinstance(T_base_frame, str)
         number = self._target_index(target)
         self._moves.append(Move(number, file, line, kind, T_tip_tool, T_base_frame))
 
@@ -896,8 +900,8 @@ class _Program:
         T[:3, 3] = [1e-3 * number.value for number in position]
         return T
 
-    def _tool(self, value: Value, scope: _Scope) -> Array | str:
-        """Return T_tip_tool (4, 4) [m] of a motion, or a code, a bar and the tool's name."""
+    def _tool(self, value: Value, scope: _Scope) -> Array | _Unknown:
+        """Return T_tip_tool (4, 4) [m] of a motion, or why it is not known."""
         if isinstance(value, Reference) and value.name == "tool0":
             return read_only(self._stated_tools.get("tool0", np.eye(4)))
         found, name = self._definition(value, scope)
@@ -907,17 +911,17 @@ class _Program:
         if found.code == "other file" and "" in self._stated_tools:
             return read_only(self._stated_tools[""])
         if found.code is not None:
-            return f"{found.code}|{name}"
+            return _Unknown(found.code, name)
         items = found.value.items if isinstance(found.value, Aggregate) else ()
         if len(items) != 3:
-            return f"computed|{name}"
+            return _Unknown("computed", name)
         if _is_true(items[0]) is not True:
-            return f"stationary tool|{name}"
+            return _Unknown("stationary tool", name)
         T = self._pose(items[1])
-        return f"computed|{name}" if T is None else read_only(T)
+        return _Unknown("computed", name) if T is None else read_only(T)
 
-    def _frame(self, value: Value | None, scope: _Scope) -> Array | str:
-        """Return T_base_frame (4, 4) [m] of a motion, or a code, a bar and the frame's name."""
+    def _frame(self, value: Value | None, scope: _Scope) -> Array | _Unknown:
+        """Return T_base_frame (4, 4) [m] of a motion, or why it is not known."""
         T_base_world = self._stated_frames.get("wobj0", np.eye(4))
         if value is None or (isinstance(value, Reference) and value.name == "wobj0"):
             return read_only(T_base_world)
@@ -928,18 +932,19 @@ class _Program:
         if found.code == "other file" and "" in self._stated_frames:
             return read_only(self._stated_frames[""])
         if found.code is not None:
-            return f"{found.code}|{name}"
+            return _Unknown(found.code, name)
         items = found.value.items if isinstance(found.value, Aggregate) else ()
         if len(items) != 5:
-            return f"computed|{name}"
+            return _Unknown("computed", name)
         if _is_true(items[0]) is not False:
-            return f"stationary tool|{name}"
+            return _Unknown("stationary tool", name)
         unit = items[2].text if isinstance(items[2], Text) else ""
         if _is_true(items[1]) is not True or unit:
-            return f"{'conveyor' if _CONVEYOR.match(unit) else 'external axes'}|{name}"
+            is_conveyor = _CONVEYOR.match(unit) is not None
+            return _Unknown("conveyor" if is_conveyor else "external axes", name)
         user, of_object = self._pose(items[3]), self._pose(items[4])
         if user is None or of_object is None:
-            return f"computed|{name}"
+            return _Unknown("computed", name)
         return read_only(T_base_world @ user @ of_object)
 
     def _definition(self, value: Value, scope: _Scope) -> tuple[_Found, str]:
@@ -1002,18 +1007,6 @@ class _Program:
                         code: LeftCode = "computed" if changed else "unused"
                         self._left[Left(module.file, line, code, name)] = None
 
-
-#: Codes as they are in the texts of `_Program._tool` and `_Program._frame`.
-_LEFT_CODES: MappingProxyType[str, LeftCode] = MappingProxyType(
-    {
-        "computed": "computed",
-        "relative": "computed",
-        "other file": "other file",
-        "stationary tool": "stationary tool",
-        "conveyor": "conveyor",
-        "external axes": "external axes",
-    }
-)
 
 #: The axes of cf1, cf4 and cf6, from 0.
 _AXES = (0, 3, 5)

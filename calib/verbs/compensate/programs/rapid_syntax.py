@@ -225,7 +225,7 @@ def read_modules(text: str, file: int) -> list[Module]:
         text.replace("\xef\xbb\xbf", "   ", 1) if text.startswith("\xef\xbb\xbf") else text
     )
     tokens = tokens_of(without_mark)
-    return list(_Parser(tokens, without_mark, file).modules())
+    return list(_Parser(tokens, file).modules())
 
 
 def split(tokens: Sequence[Token], mark: str) -> list[Sequence[Token]]:
@@ -337,9 +337,8 @@ def _call(tokens: Sequence[Token]) -> Call:
 class _Parser:
     """Goes through the tokens of a file once."""
 
-    def __init__(self, tokens: list[Token], text: str, file: int) -> None:
+    def __init__(self, tokens: list[Token], file: int) -> None:
         self._tokens = tokens
-        self._text = text
         self._file = file
         self._at = 0
 
@@ -353,11 +352,6 @@ class _Parser:
     def _has_more(self) -> bool:
         """Test whether there are more tokens."""
         return self._at < len(self._tokens)
-
-    def _line(self) -> int:
-        """Return the position of the end of the line of the token before."""
-        end = self._text.find("\n", self._tokens[self._at - 1].end)
-        return len(self._text) if end < 0 else end
 
     def _up_to(self, *marks: str) -> Sequence[Token]:
         """Return the tokens up to a mark outside brackets, and go behind it."""
@@ -390,17 +384,17 @@ class _Parser:
 
     def _module(self) -> Module | None:
         """Return the module behind its first word; None if it has no end."""
-        # Its name may begin with a digit; attributes follow in parentheses.
-        end = self._line()
-        header = []
-        while self._has_more() and self._tokens[self._at].start < end:
-            header.append(self._tokens[self._at])
-            self._at += 1
-            if header[-1].word == ")" or (len(header) == 1 and self._word() not in ("(", "_")):
-                if header[0].kind == "number" and self._tokens[self._at].start == header[0].end:
-                    continue
+        # Its name may begin with a digit, and then is several tokens; attributes follow in parentheses.
+        name = self._word()
+        end = -1
+        while self._has_more() and self._word() != "(":
+            token = self._tokens[self._at]
+            if end not in (-1, token.start):
                 break
-        name = header[0].word if header else ""
+            end = token.end
+            self._at += 1
+        if self._word() == "(":
+            self._at = _closing(self._tokens, self._at) + 1
         module = Module(self._file, name)
         while self._has_more():
             word = self._word()
