@@ -65,6 +65,18 @@ class ArmPosture(Value):
         value = _measures(*_axes_at(self.robot, q))[1] * np.sign(self.at_zero[1])
         return np.asarray(value > -_CLOSE if up else value < _CLOSE)
 
+    def signed(self, q: Array) -> tuple[Array, Array]:
+        """Return both measures of the module's text with the signs of the axes themselves.
+
+        Args:
+            q: Joint values, shape (K, 6) [rad].
+
+        Returns:
+            How far the wrist is in the direction of a_1 x a_2 from axis 1 [m], and the area at the elbow about a_2
+            [m^2], shape (K,) each.
+        """
+        return _measures(*_axes_at(self.robot, q))
+
 
 def _axes_at(robot: Robot, q: Array) -> tuple[Array, Array]:
     """Return points and directions of the six axes, both (K, 6, 3) [m], at joint values (K, 6) [rad]."""

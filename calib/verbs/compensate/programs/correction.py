@@ -360,7 +360,8 @@ def _dependent(
                 agrees = function(q_nominal[i]) == number.value
             else:
                 agrees = bool(target.configuration(q_nominal[i][None])[0])
-            new.add(function(q[i]) if agrees else int(number.value))
+            holds = target.configuration is not None and target.configuration(q[i][None])[0]
+            new.add(function(q[i]) if agrees and not holds else int(number.value))
         if len(new) > 1:
             return None
         (value,) = new

@@ -28,6 +28,7 @@ LeftCode = Literal[
     "shared",
     "configuration",
     "external axes",
+    "external tool",
     "other file",
     "not a motion",
     "group",
@@ -47,6 +48,7 @@ partial         some of the target's numbers are left out, and stay those of the
 shared          motions with other tools, frames or approaches go to the same target, and need other numbers
 configuration   no joint values of the nominal robot at the target agree with its configuration data
 external axes   a track or positioner that is not in the URDF takes part in the motion
+external tool   the tool stands still, and the robot carries the part
 other file      the target's numbers stand in a file that was not given
 not a motion    the numbers are no target of the robot: of a pallet, a frame, a weave
 group           another motion group than the first

@@ -35,6 +35,7 @@ _LEFT: dict[LeftCode, str] = {
     "configuration": "no joint values of the nominal robot agree with the configuration data, here or before, at a "
     "target that this one follows",
     "external axes": "an axis moves that is not in the URDF",
+    "external tool": "the tool stands still, and the robot carries the part",
     "other file": "the target's numbers are not in the files given (--data)",
     "not a motion": "the numbers are no target of the robot",
     "group": "another motion group than the first",

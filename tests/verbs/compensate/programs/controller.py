@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import product
+
 import numpy as np
 import pinocchio as pin
 
 from calib.robot.robot import Robot
-from calib.verbs.compensate.programs.program_file import ProgramFile
+from calib.verbs.compensate.programs.program_file import Move, ProgramFile, Target
 
 
 class Arm:
@@ -21,6 +24,10 @@ class Arm:
         self.index = [joint.idx_q for joint in joints]
         self.nq = [joint.nq for joint in joints]
         self.columns = [joint.idx_v for joint in joints]
+        self.low, self.high = (
+            np.array([limits[joint.idx_q] for joint in joints])
+            for limits in (self.model.lowerPositionLimit, self.model.upperPositionLimit)
+        )
 
     def full(self, q: np.ndarray) -> np.ndarray:
         values = pin.neutral(self.model)
@@ -46,6 +53,28 @@ class Arm:
         assert np.linalg.norm(error) < 1e-8
         return q
 
+    def configured(
+        self, T: np.ndarray, q: np.ndarray, move: Move, target: Target, *, is_given: bool
+    ) -> np.ndarray:
+        """Joint values at which the tip is at a pose, as the configuration data of a motion by joints ask for."""
+        if is_given or move.motion != "joint" or target.configuration is None:
+            return self.inverse(T, q)
+        random = np.random.default_rng(0)
+        for _ in range(400):
+            try:
+                found = self.inverse(T, q)
+            except AssertionError:
+                found = None
+            if found is not None:
+                turns = np.array([-2.0, 0.0, 2.0]) * np.pi
+                for first, last in product(turns, turns):
+                    turned = (found + np.pi) % (2.0 * np.pi) - np.pi + [0, 0, 0, first, 0, last]
+                    inside = (turned >= self.low) & (turned <= self.high)
+                    if inside.all() and target.configuration(turned[None])[0]:
+                        return turned
+            q = random.uniform(self.low, self.high)
+        raise AssertionError(f"{target.name}: no joint values of its configuration")
+
 
 def rotation(convention: str, numbers: np.ndarray) -> np.ndarray:
     """The rotation of numbers in degrees, of quaternions as they are, as the makers' manuals define it."""
@@ -61,33 +90,53 @@ def rotation(convention: str, numbers: np.ndarray) -> np.ndarray:
 
 
 def joints(
-    arm: Arm, program: ProgramFile, near: list[np.ndarray] | None = None
-) -> list[np.ndarray]:
-    """Joint values of the controller at each motion; poses from those before, or from those given."""
-    result: list[np.ndarray] = []
-    for i, move in enumerate(program.moves):
+    arm: Arm,
+    program: ProgramFile,
+    near: dict[int, np.ndarray] | None = None,
+    rows: Sequence[int] | None = None,
+    start: np.ndarray | None = None,
+) -> dict[int, np.ndarray]:
+    """Joint values of the controller at motions; poses from those before, or from those given.
+
+    The configuration of a target chooses among solutions from many starts.
+    """
+    result: dict[int, np.ndarray] = {}
+    before = start
+    for i in range(len(program.moves)) if rows is None else rows:
+        move = program.moves[i]
         target = program.targets[move.target]
         numbers = np.array([number.value for number in target.numbers])
         if target.convention is None:
-            result.append(numbers * target.scales)
+            result[i] = before = numbers * target.scales
             continue
         T = np.eye(4)
         T[:3, 3] = numbers[:3] * target.scales[:3]
         T[:3, :3] = rotation(target.convention.name, numbers[3:])
         tool = np.eye(4) if move.T_tip_tool is None else move.T_tip_tool
         T_base_tip = move.T_base_frame @ T @ np.linalg.inv(tool)
-        result.append(arm.inverse(T_base_tip, near[i] if near else result[-1]))
+        begin = before if near is None else near[i]
+        result[i] = before = arm.configured(
+            T_base_tip, begin, move, target, is_given=near is not None
+        )
     return result
 
 
-def arrival(nominal: Robot, true: Robot, original: ProgramFile, program: ProgramFile) -> np.ndarray:
+def arrival(
+    nominal: Robot,
+    true: Robot,
+    original: ProgramFile,
+    program: ProgramFile,
+    rows: Sequence[int] | None = None,
+    start: np.ndarray | None = None,
+) -> np.ndarray:
     """How far [m] the true robot's tool ends, at each motion, from where the nominal one's would by the original."""
     controller, real = Arm(nominal), Arm(true)
-    meant = joints(controller, original)
-    sent = joints(controller, program, meant)
+    meant = joints(controller, original, None, rows, start)
+    sent = joints(controller, program, meant, rows)
     away = []
-    for move, q_meant, q_sent in zip(program.moves, meant, sent, strict=True):
+    for i, q_meant in meant.items():
+        move = original.moves[i]
         tool = np.eye(4) if move.T_tip_tool is None else move.T_tip_tool
-        apart = (controller.pose(q_meant) @ tool - real.pose(q_sent) @ tool)[:3, 3]
+        apart = (controller.pose(q_meant) @ tool - real.pose(sent[i]) @ tool)[:3, 3]
         away.append(float(np.linalg.norm(apart)))
     return np.array(away)
