@@ -34,7 +34,6 @@ LeftCode = Literal[
     "group",
     "spline",
     "conveyor",
-    "stationary tool",
     "search",
     "force",
     "unread",
@@ -54,7 +53,6 @@ not a motion    the numbers are no target of the robot: of a pallet, a frame, a 
 group           another motion group than the first
 spline          a motion whose shape depends on more than its targets
 conveyor        the frame moves
-stationary tool the robot holds the part, and the tool stands still
 search          the motion ends at a sensor's signal
 force           the motion is led by a force
 unread          the line moves the robot, and calib does not know how

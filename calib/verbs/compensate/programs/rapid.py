@@ -767,15 +767,15 @@ class _Program:
             T_tip_tool = None if isinstance(T_tip_tool, _Unknown) else T_tip_tool
         else:
             T_base_frame = self._frame(visit.call.options.get("wobj"), visit.scope)
+        if isinstance(T_tip_tool, _Unknown) and T_tip_tool.code == "other file":
+            self._missing_tools[T_tip_tool.name] = None
+        if isinstance(T_base_frame, _Unknown) and T_base_frame.code == "other file":
+            self._missing_frames[T_base_frame.name] = None
         if isinstance(T_tip_tool, _Unknown):
-            if T_tip_tool.code == "other file":
-                self._missing_tools[T_tip_tool.name] = None
             self._leave(visit, T_tip_tool.code, f"{what}, {T_tip_tool.name}")
+            return
         if isinstance(T_base_frame, _Unknown):
-            if T_base_frame.code == "other file":
-                self._missing_frames[T_base_frame.name] = None
             self._leave(visit, T_base_frame.code, f"{what}, {T_base_frame.name}")
-        if isinstance(T_tip_tool, _Unknown) or isinstance(T_base_frame, _Unknown):
             return
         file = visit.scope.module.file
         line = self._line(file, visit.call.tokens[0].start)
@@ -916,7 +916,7 @@ class _Program:
         if len(items) != 3:
             return _Unknown("computed", name)
         if _is_true(items[0]) is not True:
-            return _Unknown("stationary tool", name)
+            return _Unknown("external tool", name)
         T = self._pose(items[1])
         return _Unknown("computed", name) if T is None else read_only(T)
 
@@ -937,7 +937,7 @@ class _Program:
         if len(items) != 5:
             return _Unknown("computed", name)
         if _is_true(items[0]) is not False:
-            return _Unknown("stationary tool", name)
+            return _Unknown("external tool", name)
         unit = items[2].text if isinstance(items[2], Text) else ""
         if _is_true(items[1]) is not True or unit:
             is_conveyor = _CONVEYOR.match(unit) is not None

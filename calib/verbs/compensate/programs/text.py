@@ -41,7 +41,6 @@ _LEFT: dict[LeftCode, str] = {
     "group": "another motion group than the first",
     "spline": "its shape depends on more than its targets",
     "conveyor": "the frame moves",
-    "stationary tool": "the robot holds the part, and the tool stands still",
     "search": "the motion ends at a sensor's signal",
     "force": "the motion is led by a force",
     "unread": "it moves the robot, and calib does not know how",

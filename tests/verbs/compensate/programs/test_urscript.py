@@ -17,12 +17,12 @@ from calib.verbs.compensate.programs.program_file import ProgramFile, Stated
 from calib.verbs.compensate.programs.urscript import read
 from calib.verbs.convert.ur_arms import ur_robot
 from tests.verbs.compensate.arms import off
-from tests.verbs.compensate.programs.arrival import is_unchanged, left, misses, motions, values
+from tests.verbs.compensate.programs.listing import corrected_in_place, left, motions, values
 
 DATA = Path(__file__).parent / "data" / "urscript"
 NOMINAL = ur_robot("ur5e")
 NAMES = NOMINAL.joint_names
-START = dict(zip(NAMES, np.deg2rad([-90, -80, 100, -110, -90, 0]), strict=True))
+START = np.deg2rad([-90, -80, 100, -110, -90, 0])
 
 BENCH = pin.SE3(pin.exp3(np.array([0, 0, 0.3])), np.array([0.2, -0.4, 0.1])).homogeneous
 INSTALLED = pin.SE3(np.eye(3), np.array([0, 0, 0.1])).homogeneous
@@ -205,20 +205,15 @@ def test_the_true_arm_arrives(name: str, tmp_path: Path) -> None:
     def reader(path: Path) -> ProgramFile:
         return read(path, STATED)
 
-    assert is_unchanged(reader(tmp_path / name), NOMINAL, START)
-
-    def pose(numbers: np.ndarray) -> pin.SE3:
-        return pin.SE3(pin.exp3(numbers[3:]), numbers[:3])
-
     old = (tmp_path / name).read_bytes()
     true = off(NOMINAL, seed=3)
-    done, errors = misses(reader, tmp_path, name, NOMINAL, true, pose, START)
-    assert errors[:, 0].max() > 1e-3
+    done, before, after = corrected_in_place(reader, tmp_path / name, NOMINAL, true, START)
+    assert before.max() > 1e-3
     # Two motions of tcps.script go to one target with different tools: the mean is best there.
-    alone = np.array([np.linalg.norm(row) < 1e-9 for row in done.shared])
+    alone = np.linalg.norm(done.shared, axis=1) < 1e-9
     assert alone.sum() >= len(alone) - 2
-    assert errors[alone, 1].max() < 1e-6
-    assert (errors[:, 1] < 0.5 * errors[:, 0].max()).all()
+    assert after[alone].max() < 1e-6
+    assert (after < 0.5 * before.max()).all()
     assert (tmp_path / name).read_bytes().count(b"\n") == old.count(b"\n")
 
 
