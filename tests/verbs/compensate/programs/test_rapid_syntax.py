@@ -116,7 +116,8 @@ def test_statements() -> None:
 
 def test_declarations() -> None:
     (first, second) = read_modules(
-        "%%%\nVERSION:1\n%%%\nMODULE 1_A(SYSMODULE)\nLOCAL CONST num a:=1;\nTASK PERS robtarget p{2,3}:=[];\nVAR num b,c;\n"
+        "%%%\nVERSION:1\n%%%\nMODULE 1_A(SYSMODULE)\nLOCAL CONST num a:=1;\nTASK PERS robtarget p{2,3}:=[];\n"
+        "VAR num b,c;\n"
         "RECORD r\nnum x;\nstring y;\nENDRECORD\nLOCAL PROC f(num a,\\switch b|switch c,INOUT robtarget d\\num e)\n"
         "VAR num own;\nERROR\nTRYNEXT;\nENDPROC\nFUNC num g()\nRETURN 1;\nENDFUNC\nENDMODULE\nMODULE B\nENDMODULE",
         7,
