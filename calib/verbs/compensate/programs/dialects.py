@@ -39,7 +39,7 @@ _ROWS = (
     Dialect("ABB RAPID", (".mod", ".modx", ".sys", ".prg"), "rapid"),
     Dialect("FANUC LS", (".ls",), "fanuc_ls"),
     Dialect("Yaskawa JBI", (".jbi",), "jbi"),
-    Dialect("URScript", (".script", ".urscript"), "urscript"),
+    Dialect("URScript", (".script", ".urscript", ".urp"), "urscript"),
 )
 
 #: The languages by the endings of their programs' names.

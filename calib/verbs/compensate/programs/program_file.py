@@ -80,6 +80,14 @@ class ProgramText:
         return self.text.count("\n", 0, position) + 1
 
 
+def readable(text: str) -> str:
+    """Return a piece of a text, its bytes as Latin-1, as messages show it: as UTF-8, if it is."""
+    try:
+        return text.encode("latin-1").decode("utf-8")
+    except UnicodeDecodeError:
+        return text
+
+
 @dataclass(frozen=True, slots=True)
 class NumberText:
     """A number as it stands in the text of a file, with its sign: characters ``start`` to ``end``, the end excluded."""
