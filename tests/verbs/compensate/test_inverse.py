@@ -12,8 +12,8 @@ from calib.robot.ranges import column_limits, random_joint_values
 from calib.robot.robot import Robot
 from calib.verbs.compensate.inverse import (
     Matching,
-    _by_whole_turns,
     _step_inside,
+    by_whole_turns,
     follow,
     solve,
     start_values,
@@ -244,11 +244,11 @@ def test_each_row_of_a_solution_is_its_own(arm):
     assert found.twists == pytest.approx(twists, abs=1e-12)
 
 
-def test_a_joint_turns_by_whole_turns_to_the_seed_unless_a_limit_is_in_the_way(arm):
+def test_a_joint_turnsby_whole_turns_to_the_seed_unless_a_limit_is_in_the_way(arm):
     seed = np.full(6, 3.0)
     q = np.array([[-3.0, -3.0, 3.0 - 4.0 * np.pi, 2.0, 9.0, -2.0]])
     allowed = np.tile([-7.0, 7.0], (6, 1))
     allowed[1] = -3.1, 3.1
-    turned_over = _by_whole_turns(arm.robot, q, seed, allowed)
+    turned_over = by_whole_turns(arm.robot, q, seed, allowed)
     wanted = [2.0 * np.pi - 3.0, -3.0, 3.0, 2.0, 9.0 - 2.0 * np.pi, 2.0 * np.pi - 2.0]
     assert turned_over[0] == pytest.approx(wanted)

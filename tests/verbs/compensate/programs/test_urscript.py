@@ -276,7 +276,7 @@ def test_poses_of_another_script(tmp_path: Path) -> None:
     ("name", "content"),
     [
         ("a.urp", b"<URProgram/>"),
-        ("b.script", gzip.compress(b"<URProgram/>")),
+        ("b.script", gzip.compress(b"<URProgram/>", mtime=0)),
         ("c.script", b"function init(self)\n  self.x = 1\nend\n"),
         ("d.script", b""),
         ("e.script", bytes(range(256))),
