@@ -14,6 +14,7 @@ Status and turn of a pose count for motions by joints, and are told from joint v
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -189,7 +190,9 @@ def pose_of_fields(aggregate: Aggregate) -> Array | None:
 
 def _find_files(path: Path) -> Iterator[Path]:
     """Yield the data list of a program, and the controller's configuration, as far as they are there."""
-    beside = {file.name.lower(): file for file in sorted(path.parent.iterdir())}
+    beside = {}
+    with contextlib.suppress(OSError):  # a folder may be read and not listed
+        beside = {file.name.lower(): file for file in sorted(path.parent.iterdir())}
     for name in (path.stem.lower() + ".dat", "$config.dat", "$machine.dat"):
         if name in beside:
             yield beside[name]
