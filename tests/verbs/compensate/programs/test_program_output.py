@@ -14,6 +14,7 @@ from calib.robot.robot import Robot
 from calib.verbs.compensate.command import parse_pulses
 from calib.verbs.compensate.programs.program_file import ProgramFile, ProgramText
 from calib.verbs.compensate.programs.program_output import output_paths
+from tests.places import ROOT
 
 PROGRAM = """\
 DEF line ( )
@@ -80,6 +81,19 @@ def test_what_is_missing_or_in_the_way_is_said(call, folder: Path):
         done = call(folder, *ARGUMENTS, *FRAME, *words)
         assert done.code != 0
         assert words[0] in done.err
+
+
+def test_the_same_in_python(folder: Path, monkeypatch, capsys):
+    text = (ROOT / "docs" / "programs.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (folder / "prog.src").write_text(PROGRAM.replace("BAS (#BASE,4)", "$BASE=$WORLD"))
+    shutil.copy(folder / "LINE.dat", folder / "prog.dat")
+    monkeypatch.chdir(folder)
+    exec(code, {})
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [line[0] for line in printed] == ["4", "5"]
+    assert all(float(line[1]) > 5e-4 and line[3] == "None" for line in printed)
+    assert (folder / "corrected.dat").read_bytes() != (folder / "prog.dat").read_bytes()
 
 
 def test_files_of_one_name_stay_together(tmp_path: Path):
