@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import calib
@@ -19,6 +20,8 @@ from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
 from calib.robot.ur_models import ur_model
 from calib.verbs.compensate.program_table import read_program
+from calib.verbs.compensate.programs.dialects import read_program_file
+from calib.verbs.compensate.programs.program_file import Stated
 from calib.verbs.convert.convert import KINDS, source_kind
 from calib.verbs.convert.format import Options
 from calib.verbs.convert.ur_files import kinematics_bytes
@@ -53,6 +56,19 @@ def factory(path: Path) -> object:
 
 def program(path: Path) -> object:
     return read_program(path, calib.Robot.load(ARM, "base", "tool0"))
+
+
+def robot_program(path: Path) -> object:
+    """A program in its maker's language, also beside a whole data list."""
+    robot = calib.Robot.load(ARM, "base", "tool0")
+    tip = {"": np.eye(4)}
+    return read_program_file(path, Stated(robot.joint_names, tip, tip, robot=robot))
+
+
+def programs_of(pattern: str):
+    """The programs of the tests of a dialect, by a pattern of their paths."""
+    folder = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data"
+    return lambda _: [path.read_bytes() for path in sorted(folder.glob(pattern))]
 
 
 def cells(_: Path) -> list[bytes]:
@@ -102,6 +118,8 @@ READERS = [
     ("k.yaml", factory, made("convert xarm6 --to ufactory-yaml -o k.yaml")),
     ("u.yaml", factory, lambda _: [b"/left/driver:\n  " + UR.replace(b"\n", b"\n  "), UR]),
     ("m.json", Motors.read, lambda _: [MOTORS]),
+    ("k.src", robot_program, programs_of("kuka/*.src")),
+    ("k.SRC", robot_program, programs_of("kuka/*.dat")),
 ]
 
 
