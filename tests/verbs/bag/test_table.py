@@ -53,7 +53,7 @@ def test_a_stop_is_the_mean_of_its_samples_and_its_sigma_that_of_the_mean():
     assert errors.std() == pytest.approx(wanted, rel=0.4)
 
 
-def test_the_lag_is_taken_out_and_a_missing_point_is_said():
+def test_the_lag_is_taken_out_and_a_missing_point_is_said(tmp_path: Path):
     joints, points = constant(10.0)
     q = np.array(joints.q)
     q[joints.times >= 5.0] = [0.7, 0.1]
@@ -75,6 +75,10 @@ def test_the_lag_is_taken_out_and_a_missing_point_is_said():
     text = table_bytes(NAMES, (), rows).decode().splitlines()
     assert text[0].startswith("order,a [deg],b [deg],set,target,x [mm],y [mm],z [mm]")
     assert [line.split(",")[3] for line in text[1:]] == ["estimate", "via"]
+    path = tmp_path / "table.csv"
+    path.write_bytes(table_bytes(NAMES, (), rows))
+    table = Measurements.read(path, NAMES)
+    assert len(table.points) == 1
 
 
 def test_the_table_is_one_of_calib(tmp_path: Path):
