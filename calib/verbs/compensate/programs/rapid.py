@@ -953,6 +953,13 @@ class _Program:
         if len(found) != 1:
             return replace(found[0], value=None, code="computed"), self._source(value, scope)
         one = found[0]
+        if (
+            one.data is not None
+            and one.data.value is None
+            and not self._is_changed(one.scope, one.data.name)
+        ):
+            # A persistent without a value has it in another module.
+            one = replace(one, code="other file")
         if one.code == "other file" and isinstance(value, Reference) and not value.steps:
             beside = self._beside(value.name)
             if beside is not None:
@@ -966,11 +973,8 @@ class _Program:
         """Return data of the modules beside the file, if all that define them agree."""
         if self._siblings is None:
             self._siblings = _modules_beside(self._texts)
-        defined = [
-            module.data[name]
-            for module in self._siblings
-            if name in module.data and not module.data[name].is_local
-        ]
+        same = [module.data[name] for module in self._siblings if name in module.data]
+        defined = [data for data in same if data.value is not None and not data.is_local]
         poses = {str(_plain(data.value)) for data in defined}
         return defined[0] if len(poses) == 1 else None
 
