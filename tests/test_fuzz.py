@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import calib
@@ -17,6 +18,8 @@ from calib.data.points_file import read_points
 from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
 from calib.verbs.compensate.program_table import read_program
+from calib.verbs.compensate.programs.dialects import read_program_file
+from calib.verbs.compensate.programs.program_file import Stated
 from calib.verbs.convert.convert import KINDS, source_kind
 from calib.verbs.convert.format import Options
 from calib.verbs.plan.solids import read_solids
@@ -46,6 +49,19 @@ def convert(path: Path) -> object:
 
 def program(path: Path) -> object:
     return read_program(path, calib.Robot.load(ARM, "base", "tool0"))
+
+
+def robot_program(path: Path) -> object:
+    """A program in its maker's language, also beside a whole data list."""
+    robot = calib.Robot.load(ARM, "base", "tool0")
+    tip = {"": np.eye(4)}
+    return read_program_file(path, Stated(robot.joint_names, tip, tip, robot=robot))
+
+
+def programs_of(pattern: str):
+    """The programs of the tests of a dialect, by a pattern of their paths."""
+    folder = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data"
+    return lambda _: [path.read_bytes() for path in sorted(folder.glob(pattern))]
 
 
 def cells(_: Path) -> list[bytes]:
@@ -84,6 +100,10 @@ READERS = [
     ("r.json", convert, results),
     ("o.yaml", convert, lambda _: [p.read_bytes() for p in ROOT.glob("urdf/*.yaml")]),
     ("w.json", read_region, made(WORKSPACE)),
+    ("k.src", robot_program, programs_of("kuka/*.src")),
+    ("k.SRC", robot_program, programs_of("kuka/*.dat")),
+    ("a.mod", robot_program, programs_of("rapid/*.*")),
+    ("u.script", robot_program, programs_of("urscript/*.*")),
 ]
 
 
