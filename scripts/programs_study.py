@@ -9,19 +9,21 @@ and 2 mrad in every placement. The first must leave every byte as it is. For the
 model, simulated with Pinocchio and inverse kinematics of its own, says how far the true tool ends from where the
 nominal one would have gone; not of targets that several motions share and that get the mean of their corrections.
 
-Tools and frames that the files do not define are taken to be at the tip and in the base. With --rate, how long a
-program of so many lines takes.
+Tools and frames that the files do not define are taken to be at the tip and in the base. With --rate, how long one core
+needs for a program of so many lines.
 """
 
 from __future__ import annotations
 
 import shutil
+import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from studies import print_table, study_parser
@@ -31,9 +33,8 @@ from calib.robot.robot import Robot
 from calib.verbs.compensate.programs.correction import corrected
 from calib.verbs.compensate.programs.dialects import find_dialect, read_program_file
 from calib.verbs.compensate.programs.program_file import ProgramFile, Stated
-from tests.places import ROOT
-from tests.verbs.compensate.arms import off
-from tests.verbs.compensate.programs.controller import arrival
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 #: Arms like those of the makers: the module of the tests, its function, and joint values to start at [deg].
 _ARMS = {
@@ -49,10 +50,23 @@ _ARMS = {
 #: The arm of all other programs, with joint values to start at [deg].
 _OTHER = ("ur5", (0, -90, 90, -90, -90, 0))
 
-_PROGRAMS = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data"
+_PROGRAMS = (
+    Path(__file__).resolve().parents[1] / "tests" / "verbs" / "compensate" / "programs" / "data"
+)
 
 #: A motion that ends farther away than this does not arrive [m].
 _ARRIVED = 5e-6
+
+
+def _of_tests(module: str, name: str) -> Any:  # noqa: ANN401  the tests have no types
+    """Return a function of the tests of compensation, by its module."""
+    return getattr(import_module(f"tests.verbs.compensate.{module}"), name)
+
+
+def _off(robot: Robot) -> Robot:
+    """Return the robot with errors in all its placements."""
+    moved: Robot = _of_tests("arms", "off")(robot)
+    return moved
 
 
 def _arm(ending: str, folder: Path) -> tuple[Robot, np.ndarray]:
@@ -61,8 +75,7 @@ def _arm(ending: str, folder: Path) -> tuple[Robot, np.ndarray]:
         name, degrees = _OTHER
         return Robot.load(name, base="base", tip="tool0"), np.radians(degrees)
     module, function, degrees = _ARMS[ending]
-    make = getattr(import_module(f"tests.verbs.compensate.programs.{module}"), function)
-    return make(folder), np.radians(degrees)
+    return _of_tests(f"programs.{module}", function)(folder), np.radians(degrees)
 
 
 def _misses(robot: Robot, true: Robot, program: ProgramFile, start: np.ndarray) -> Iterator[float]:
@@ -76,6 +89,7 @@ def _misses(robot: Robot, true: Robot, program: ProgramFile, start: np.ndarray) 
         for new in result.texts:
             (folder / new.path.name).write_bytes(new.text.encode("latin-1"))
         again = read_program_file(folder / program.texts[0].path.name, _stated(robot))
+    arrival = _of_tests("programs.controller", "arrival")
     yield from arrival(robot, true, program, again, known.tolist(), start).tolist()
 
 
@@ -108,7 +122,7 @@ def _study(folder: Path) -> None:
                 count["same"] += all(
                     a.text == b.text for a, b in zip(same.texts, program.texts, strict=True)
                 )
-                misses = list(_misses(robot, off(robot), program, start))
+                misses = list(_misses(robot, _off(robot), program, start))
                 count["corrected"] += len(misses)
                 worst[dialect.name] = max([worst.get(dialect.name, 0.0), *misses])
             except CalibError as error:
@@ -135,7 +149,7 @@ def _study(folder: Path) -> None:
 
 
 def _rate(lines: int) -> None:
-    """Print how long a program of so many lines takes."""
+    """Print how long a program of so many lines takes, of one core."""
     with tempfile.TemporaryDirectory() as name:
         robot, start = _arm(".src", Path(name))
         T = robot.poses(start)[0]
@@ -148,11 +162,11 @@ def _rate(lines: int) -> None:
             text += f"LIN {{X {x:.3f},Y {y:.3f},Z {z:.3f},A 0.000,B 75.000,C 0.000}} C_DIS\n"
         path = Path(name) / "rate.src"
         path.write_text(text + "END\n")
-        begin = time.perf_counter()
+        begin = time.process_time()
         program = read_program_file(path, _stated(robot))
-        read = time.perf_counter()
-        corrected(program, robot, off(robot))
-        end = time.perf_counter()
+        read = time.process_time()
+        corrected(program, robot, _off(robot))
+        end = time.process_time()
     print(f"{lines} lines: read in {read - begin:.1f} s, corrected in {end - read:.1f} s")
 
 
