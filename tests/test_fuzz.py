@@ -128,6 +128,8 @@ READERS = [
     ("p.jbi", robot_program, programs_of("yaskawa/*.jbi")),
     ("k.src", robot_program, programs_of("kuka/*.src")),
     ("k.SRC", robot_program, programs_of("kuka/*.dat")),
+    ("a.mod", robot_program, programs_of("rapid/*.*")),
+    ("u.script", robot_program, programs_of("urscript/*.*")),
 ]
 
 

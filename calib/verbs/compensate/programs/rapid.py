@@ -42,6 +42,7 @@ from calib.verbs.compensate.programs.program_file import (
     Target,
     readable,
 )
+from calib.verbs.compensate.programs.rapid_instructions import HARMLESS
 from calib.verbs.compensate.programs.rapid_syntax import (
     Aggregate,
     Assignment,
@@ -189,19 +190,6 @@ _WRITERS = MappingProxyType(
 
 #: Instructions whose targets describe a region or a measurement.
 _NO_MOTION_OF_TARGETS = re.compile(r"wz.*|.*calib|safety.*")
-
-#: Instructions that move no robot.
-_HARMLESS = re.compile(
-    r"(?:set|reset|invert|pulse|wait|tp|ui|socket|open|close|read|write|print|stop|start|clear|store|resto|"
-    r"conf|sing|accset|velset|worldacc|pathacc|pathresol|softact|softdeact|pdisp|eoffs|grip|act|deact|trigg|"
-    r"is(?:leep|watch|enable|disable|error|persig|sig|timer|delete|var)|ipers|ivar|isignal|itimer|"
-    r"get|int|add|incr|decr|clk|err|eventtype|load|unload|savedata|save|cancel|checkprog|copy|pack|unpack|"
-    r"mechunitload|motion|mocgen|movegen|wz|alias|define|dropw|rename|remove|make|rm|dir|book|bitset|bitclear|"
-    r"corr|cnv|egm|fc|css|sync|task|tool|user|warm|sys|sens|reg|spy|prox|path(?:rec|acc)|exit|break|proc(?:error|rec)|"
-    r"rem|mtool|stool|hand|hollow|g_|iocon|iobus|iodis|ioen|ioact|iode|skip|test|try|reconn|sg|sc|sm|trap|"
-    r"tune|undo|idis|idel|iena|iwat|isle|stopmove|strig|swap|use|vel|lasterr|event|dacc|nav|opmode|gui|ind)"
-    r"[a-z0-9_]*"
-)
 
 #: Work objects on conveyors are named so by their unit.
 _CONVEYOR = re.compile(r"cnv|conv|indcnv", re.IGNORECASE)
@@ -708,11 +696,11 @@ class _Program:
                 if self._is_target(argument, visit.scope):
                     self._mention_all(argument, visit.scope)
                     self._leave(visit, "not a motion", self._source(argument, visit.scope))
-        elif with_targets and not _HARMLESS.fullmatch(call.name):
+        elif with_targets and call.name not in HARMLESS:
             for argument in call.arguments:
                 self._mention_all(argument, visit.scope)
             self._leave(visit, "unread", _motion_text(self, visit))
-        elif not _HARMLESS.fullmatch(call.name) and call.tokens[0].kind == "name":
+        elif call.name not in HARMLESS and call.tokens[0].kind == "name":
             self._leave(visit, "other file", name)
 
     def _is_target(self, value: Value, scope: _Scope) -> bool:
@@ -953,6 +941,13 @@ class _Program:
         if len(found) != 1:
             return replace(found[0], value=None, code="computed"), self._source(value, scope)
         one = found[0]
+        if (
+            one.data is not None
+            and one.data.value is None
+            and not self._is_changed(one.scope, one.data.name)
+        ):
+            # A persistent without a value has it in another module.
+            one = replace(one, code="other file")
         if one.code == "other file" and isinstance(value, Reference) and not value.steps:
             beside = self._beside(value.name)
             if beside is not None:
@@ -966,11 +961,8 @@ class _Program:
         """Return data of the modules beside the file, if all that define them agree."""
         if self._siblings is None:
             self._siblings = _modules_beside(self._texts)
-        defined = [
-            module.data[name]
-            for module in self._siblings
-            if name in module.data and not module.data[name].is_local
-        ]
+        same = [module.data[name] for module in self._siblings if name in module.data]
+        defined = [data for data in same if data.value is not None and not data.is_local]
         poses = {str(_plain(data.value)) for data in defined}
         return defined[0] if len(poses) == 1 else None
 

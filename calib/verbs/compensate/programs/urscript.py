@@ -114,14 +114,22 @@ _RELATIVE = re.compile(
 
 #: Functions of the language that move no robot.
 _HARMLESS = re.compile(
-    r"(?:get|set|is|to|read|write|socket|modbus|rtde|rpc|xmlrpc|tool|pose|stop|force|zero|end|"
-    r"reset|enable|disable|request|secmsg|str|encoder|power|conveyor|track|popup|conveyer|path_offset|"
-    r"enter|exit|interface|ethernet|profinet|eip|mqtt|safety|program)_\w+"
-    r"|textmsg|popup|sleep|sync|halt|stopj|stopl|powerdown|acos|asin|atan2?|ceil|cos|d2r|r2d|floor|log|norm|normalize|"
-    r"pow|random|sin|sqrt|tan|length|struct|make_list|clear|append|pop|insert|remove|slice|size|shape|"
-    r"binary_list_to_integer|integer_to_binary_list|bool|list_append|sort|inv|transpose|point_dist|wrench_trans|"
-    r"rotvec2rpy|rpy2rotvec|numToString|str|servoj_stop|assert|rpc_factory|random|abs|min|max|interpolate_pose|"
-    r"unlock_protective_stop|screw_driving|transform_point|pose_dist|get_inverse_kin_has_solution"
+    r"(?:get|set)_(?:standard|configurable|tool|digital|analog|euromap|runstate|gp|input|joint|target|actual|"
+    r"conveyor|tcp|payload|flag|gravity|steptime|controller|jacobian|mass|coriolis|freedrive|forward|inverse|"
+    r"safety|base|analogout|analogin|watchdog|world|euler|output)(?:_\w+)?"
+    r"|(?:socket|modbus|rtde|interpolate|pose|wrench|rotvec|rpy|force|read|write|encoder|is|to|str|mqtt|rpc|"
+    r"rtde)_(?:open|close|send|read|get|set|add|delete|write|trans|inv|sub|dist|pose|str|num|str|input|output|"
+    r"port|holding|coil|register|signal|string|byte|line|all|list|int|float|ascii|binary|name|frequency|runstate|"
+    r"steady|within|enable|unwind|tick|delta|status|factory|cat|at|find|len|empty|program|digital|value|var|mode|"
+    r"last|raw|reset|is|expert|mult|reg|robot|bit|custom|command|secondary|wait)\w*"
+    r"|rotvec2rpy|rpy2rotvec|textmsg|popup|request_\w+|sleep|sync|stop[jl]|powerdown|acos|asin|atan2?|ceil|cos|"
+    r"d2r|r2d|floor|log|norm|normalize|pow|random|sin|sqrt|tan|length|struct|make_list|clear|append|pop|insert|"
+    r"remove|slice|size|shape|bool|sort|inv|transpose|point_dist|binary_list_to_integer|integer_to_binary_list|"
+    r"zero_ftsensor|force|servoj_stop|assert|abs|min|max|ft_rtde_input_enable|enable_external_ft_sensor|"
+    r"end_(?:freedrive|teach|force|screw_driving)\w*|force_mode_\w+|screw_driving|tool_contact|"
+    r"reset_\w*revolution_counter|conveyor_pulse_decode|power\w*|protective_stop|unlock_protective_stop|"
+    r"estimate_payload|transition_to_\w+|collision_detection\w*|set_unlock_protective_stop|enter_critical|"
+    r"time|timer_\w+|path_offset_get\w*|path_offset_set_\w+|wait_for\w*|var_\w+|zero_\w+"
 )
 
 #: What `_Value.code` of a name that no statement gives a value is.

@@ -195,6 +195,17 @@ def test_tools_beside_the_file_and_targets_of_another_one(tmp_path: Path) -> Non
     assert len(read(own, stated).moves) == 1
 
 
+def test_persistents_whose_value_is_in_another_module(tmp_path: Path) -> None:
+    (tmp_path / "tools.sys").write_text(f"MODULE T\n{TOOL}\nENDMODULE")
+    program = of(f"PERS tooldata t;\nPROC main()\nMoveL {P},v1,fine,t;\nENDPROC", tmp_path)
+    assert program.moves[0].T_tip_tool is not None
+    assert program.moves[0].T_tip_tool[2, 3] == 0.1
+    # Modules that do not agree are of no use.
+    (tmp_path / "more.sys").write_text(f"MODULE U\n{TOOL.replace('100', '200')}\nENDMODULE")
+    with pytest.raises(MeasurementError, match="'t'"):
+        of(f"PERS tooldata t;\nPROC main()\nMoveL {P},v1,fine,t;\nENDPROC", tmp_path)
+
+
 def test_letters_and_text_that_is_not_well_formed() -> None:
     program = read(DATA / "letters.modx", Stated(NAMES))
     assert motions(program) == [
@@ -315,6 +326,9 @@ ENDPROC"""
         ("MoveL p,v1;", ["unread"]),
         ("PathRecMoveBwd;", ["unread", "unused"]),
         ("ownMove p,v1,t;", ["unread"]),
+        ("OpenGripper;", ["other file", "unused"]),
+        ("GetPart p;", ["unread"]),
+        ("Set doGrip;\nConfL\\Off;\nWaitTime 1;", ["unused"]),
         ("TPWrite NumToStr(p.trans.x,1);", ["unused"]),
         ("FCPressL p,v1,10,fine,t;", ["force"]),
         ("TriggIO trigg1,10\\DOp:=do1,1;", ["unused"]),

@@ -231,6 +231,11 @@ def test_the_true_arm_arrives(name: str, tmp_path: Path) -> None:
         ),
         (f"def a():\n  movel({P}\nend", []),
         ("movel()", ["unread"]),
+        (f"get_part()\nset_home()\ntool_change(1)\nmovel({P})", ["other file"] * 3),
+        (
+            f'set_payload(1)\nx = get_tcp_force()\nsocket_open("a", 1)\nset_tool_voltage(0)\nmovel({P})',
+            [],
+        ),
         (f"movec({P})", ["unread"]),
         (f"x = {P}\nmovel(x)\nx[2] = 0.3\n", []),
         (f"x = {P}\nwhile True:\n  movel(x)\n  x[2] = 0.3\nend", ["computed"]),
