@@ -229,6 +229,7 @@ ELSEWHERE = {
     "planning.md": "tests/test_readme.py",
     "simulation.md": "tests/test_readme.py",
     "compensation.md": "tests/verbs/compensate/test_command.py",
+    "programs.md": "tests/verbs/compensate/programs/test_program_output.py",
     "universal-robots.md": "tests/verbs/convert/test_ur_formats.py",
     "extending.md": "tests/test_extending.py",
     "data-format.md": "tests/data/test_covariances.py",

@@ -52,19 +52,19 @@ def program(path: Path) -> object:
 
 
 def robot_program(path: Path) -> object:
-    """A program of a robot that is stated in full, or not at all."""
-    names = tuple(f"joint_{j}" for j in range(1, 7))
-    pose = np.eye(4)
-    stated = Stated(names, {"": pose}, {"": pose}, pulses=(1e5,) * 6)
+    """A program in its maker's language, also beside a whole data list."""
+    robot = calib.Robot.load(ARM, "base", "tool0")
+    pose = {"": np.eye(4)}
     with contextlib.suppress(CalibError):
-        read_program_file(path, Stated(names))
+        read_program_file(path, Stated(robot.joint_names))
+    stated = Stated(robot.joint_names, pose, pose, pulses=(1e5,) * 6, robot=robot)
     return read_program_file(path, stated)
 
 
-def programs(maker: str, ending: str):
-    """The programs of a maker among the tests' data."""
-    folder = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data" / maker
-    return lambda _: [path.read_bytes() for path in sorted(folder.glob(f"*{ending}"))]
+def programs_of(pattern: str):
+    """The programs of the tests of a dialect, by a pattern of their paths."""
+    folder = ROOT / "tests" / "verbs" / "compensate" / "programs" / "data"
+    return lambda _: [path.read_bytes() for path in sorted(folder.glob(pattern))]
 
 
 def cells(_: Path) -> list[bytes]:
@@ -103,8 +103,10 @@ READERS = [
     ("r.json", convert, results),
     ("o.yaml", convert, lambda _: [p.read_bytes() for p in ROOT.glob("urdf/*.yaml")]),
     ("w.json", read_region, made(WORKSPACE)),
-    ("p.ls", robot_program, programs("fanuc", ".ls")),
-    ("p.jbi", robot_program, programs("yaskawa", ".jbi")),
+    ("k.src", robot_program, programs_of("kuka/*.src")),
+    ("k.SRC", robot_program, programs_of("kuka/*.dat")),
+    ("p.ls", robot_program, programs_of("fanuc/*.ls")),
+    ("p.jbi", robot_program, programs_of("yaskawa/*.jbi")),
 ]
 
 

@@ -35,6 +35,7 @@ from calib.verbs.compensate.expected import expected_errors
 from calib.verbs.compensate.inverse import POSE, Matching
 from calib.verbs.compensate.programs.nearest_numbers import nearest_numbers
 from calib.verbs.compensate.programs.nominal_values import (
+    contents_of,
     nominal_values,
     pose_of,
     values_of,
@@ -53,7 +54,6 @@ from calib.verbs.compensate.programs.program_file import (
     Target,
 )
 from calib.verbs.compensate.robot_program import Program
-from calib.verbs.compensate.warnings import within
 
 #: A target that is moved by less stays as it is written [m], [rad]: rounding.
 _EXACT = 1e-9
@@ -175,14 +175,16 @@ def corrected(
 
     # What each target becomes: a pose in its frame, or joint values.
     T_change = rigid_inverse(T_written) @ T_needed
+    contents = contents_of(program.targets)
     edits = _Edits(program.texts)
     results: dict[int, _Result] = {}
     for number, moves in _moves_by_target(program).items():
         target = program.targets[number]
         if not np.isfinite(q[moves]).all():
             continue  # a motion to it has no command
-        needed = q[moves] if target.convention is None else pose_of(target) @ T_change[moves]
-        mean = _common(target, needed)
+        written = contents[number]
+        needed = q[moves] if target.convention is None else written @ T_change[moves]
+        mean = _common(written, needed)
         turns = _dependent(program, target, moves, values.q, q)
         if mean is None or turns is None:
             first = program.moves[moves[0]]
@@ -192,7 +194,7 @@ def corrected(
             first = program.moves[moves[0]]
             left.append(Left(first.file, first.line, "configuration", target.name))
             continue
-        final = edits.write(target, mean, nominal)
+        final = edits.write(target, mean, written, nominal)
         for dependent, new in turns:
             edits.replace(
                 target.file, dependent, written_integer(edits.old(target, dependent), new)
@@ -204,7 +206,7 @@ def corrected(
     matching = Matching(POSE, 1.0)
     for one, of_tool in zip(commands, rows, strict=True):
         done = [i for i in of_tool.tolist() if i in results]
-        written = _poses(one, [_content(program.targets[program.moves[i].target]) for i in done])
+        written = _poses(one, [contents[program.moves[i].target] for i in done])
         needed = _poses(one, [results[i].needed for i in done])
         mean = _poses(one, [results[i].mean for i in done])
         final = _poses(one, [results[i].final for i in done])
@@ -324,20 +326,15 @@ def _moves_by_target(program: ProgramFile) -> dict[int, list[int]]:
     return by_target
 
 
-def _content(target: Target) -> Array:
-    """Return the pose that a target has in its frame, shape (4, 4) [m], or its joint values, shape (m,)."""
-    return values_of(target) if target.convention is None else pose_of(target)
-
-
-def _common(target: Target, needed: Array) -> Array | None:
+def _common(written: Array, needed: Array) -> Array | None:
     """Return the mean of what k motions need of a target, or None if that is right for none of them.
 
-    Needed are poses (k, 4, 4) or joint values (k, m); the mean of rotations is R_1 exp(mean log(R_1^T R_i)).
+    Written is one pose (4, 4) or joint values (m,), needed are poses (k, 4, 4) or joint values (k, m). The mean of
+    rotations is R_1 exp(mean log(R_1^T R_i)).
     """
-    written = _content(target)
     if len(needed) == 1:
         return np.asarray(needed[0])
-    if target.convention is None:
+    if written.ndim == 1:
         mean = needed.mean(axis=0)
         left = np.abs(needed - mean).max(axis=1)
         error = np.abs(needed - written).max(axis=1)
@@ -422,21 +419,16 @@ class _Edits:
         start, new = in_column(text, number.start, text[number.start : number.end], new)
         self._edits[file].append((start, number.end, new))
 
-    def write(self, target: Target, content: Array, robot: Robot) -> Array:
+    def write(self, target: Target, content: Array, written: Array, robot: Robot) -> Array:
         """Write a pose (4, 4) [m] or joint values (m,) as the numbers of a target, and return what they stand for.
 
-        A target that is there already stays as it is.
+        A target that is there already, by what is ``written``, stays as it is.
         """
-        written = _content(target)
+        if np.abs(content - written).max() <= _EXACT:
+            return written
         values = values_of(target)
-        if target.convention is None:
-            if np.abs(content - written).max() <= _EXACT:
-                return written
-            new = content
-        else:
-            matching = Matching(POSE, 1.0)
-            if within(matching.misses(content[None], written[None]), (_EXACT, _EXACT))[0]:
-                return written
+        new = content
+        if target.convention is not None:
             turned = nearest_numbers(target.convention, content[:3, :3], values[3:])
             new = np.concatenate([content[:3, 3], turned])
         final = values.copy()

@@ -249,6 +249,7 @@ class _Reader:
         self.left: dict[Left, None] = {}
         self.missing: tuple[dict[str, None], dict[str, None]] = ({}, {})
         self.called: set[str] = set()
+        self.frames: dict[bytes, Array] = {}
         self.seen: State = None
 
     # What files define
@@ -668,7 +669,7 @@ class _Reader:
                 T_tool, T_base = self._resolve(tool, _TOOL), self._resolve(base, _BASE)
                 if T_tool is None or T_base is None:
                     continue  # missing, which is said at the end
-                T_frame = read_only(rigid_inverse(self.robroot) @ T_base)
+                T_frame = self._in_base(T_base)
                 self.moves.append(
                     Move(number, statement.file, statement.line, motion, T_tool, T_frame)
                 )
@@ -686,6 +687,13 @@ class _Reader:
         if needed:
             self.missing[kind == _BASE][value] = None
         return None
+
+    def _in_base(self, T_world_frame: Array) -> Array:
+        """Return T_base_frame, shape (4, 4), read-only [m], of a base in the world, made once for each base."""
+        key = T_world_frame.tobytes()
+        if key not in self.frames:
+            self.frames[key] = read_only(rigid_inverse(self.robroot) @ T_world_frame)
+        return self.frames[key]
 
     def _check_missing(self) -> None:
         """Name all tools and bases that are not known, by a `MeasurementError`."""

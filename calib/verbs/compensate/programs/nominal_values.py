@@ -11,7 +11,7 @@ are followed in steps short enough that the arm cannot come to another solution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal
@@ -34,7 +34,7 @@ from calib.verbs.compensate.inverse import (
     start_values,
 )
 from calib.verbs.compensate.nominal_actual import Arm
-from calib.verbs.compensate.programs.program_file import Move, ProgramFile, Target
+from calib.verbs.compensate.programs.program_file import ProgramFile, Target
 from calib.verbs.compensate.solutions import distinct, inside_limits, joint_solutions
 
 Missing = Literal["configuration", "unreachable"]
@@ -111,21 +111,55 @@ def values_of(target: Target) -> Array:
     return np.asarray(values * np.array(target.scales))
 
 
-def pose_of(target: Target, values: Array | None = None) -> Array:
-    """Return T_frame_tool of a pose, shape (4, 4) [m], or that of other numbers for it, in SI units, shape (k,)."""
-    numbers = values_of(target) if values is None else values
+def pose_of(target: Target, values: Array) -> Array:
+    """Return T_frame_tool, shape (4, 4) [m], that numbers of a pose in SI units, shape (k,), stand for."""
     assert target.convention is not None
     T = np.eye(4)
-    T[:3, 3] = numbers[:3]
-    T[:3, :3] = target.convention.matrices(numbers[None, 3:])[0]
+    T[:3, 3] = values[:3]
+    T[:3, :3] = target.convention.matrices(values[None, 3:])[0]
     return T
 
 
-def tip_pose(move: Move, target: Target) -> Array:
-    """Return T_base_tip, shape (4, 4) [m], of a motion to a pose."""
-    assert move.T_base_frame is not None
-    T_base_tool = move.T_base_frame @ pose_of(target)
-    return T_base_tool if move.T_tip_tool is None else T_base_tool @ rigid_inverse(move.T_tip_tool)
+def contents_of(targets: Sequence[Target]) -> list[Array]:
+    """Return what targets say.
+
+    Args:
+        targets: The targets.
+
+    Returns:
+        For each T_frame_tool, shape (4, 4) [m], or joint values, shape (m,), [rad] or [m].
+    """
+    contents = [values_of(target) for target in targets]
+    alike: dict[str, list[int]] = {}
+    for k, target in enumerate(targets):
+        if target.convention is not None:
+            alike.setdefault(target.convention.name, []).append(k)
+    for rows in alike.values():
+        convention = targets[rows[0]].convention
+        assert convention is not None
+        numbers = np.array([contents[k] for k in rows])
+        T = np.tile(np.eye(4), (len(rows), 1, 1))
+        T[:, :3, 3] = numbers[:, :3]
+        T[:, :3, :3] = convention.matrices(numbers[:, 3:])
+        for k, pose in zip(rows, T, strict=True):
+            contents[k] = pose
+    return contents
+
+
+def tip_poses(program: ProgramFile) -> dict[int, Array]:
+    """Return T_base_tip, shape (4, 4) [m], of the motions to poses, by their indices."""
+    contents = contents_of(program.targets)
+    rows, frames, poses, tools = [], [], [], []
+    for i, move in enumerate(program.moves):
+        if program.targets[move.target].convention is not None:
+            rows.append(i)
+            frames.append(move.T_base_frame)
+            poses.append(contents[move.target])
+            tools.append(np.eye(4) if move.T_tip_tool is None else move.T_tip_tool)
+    if not rows:
+        return {}
+    T = np.array(frames) @ np.array(poses) @ rigid_inverse(np.array(tools))
+    return dict(zip(rows, T, strict=True))
 
 
 class _Search:
@@ -140,10 +174,7 @@ class _Search:
         self.limits = column_limits(robot)
         self.start = None if not start else start_values(robot, start)
         self.targets = [program.targets[move.target] for move in program.moves]
-        self.T: dict[int, Array] = {}
-        for i, (move, target) in enumerate(zip(self.moves, self.targets, strict=True)):
-            if target.convention is not None:
-                self.T[i] = tip_pose(move, target)
+        self.T = tip_poses(program)
         self.bank = _Bank(robot, self.arm)
         self.solutions: dict[int, Array] = {}
         self.in_vain = 0  # motions in a row for which a search from nothing found nothing
