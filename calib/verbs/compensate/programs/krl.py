@@ -14,6 +14,7 @@ Status and turn of a pose count for motions by joints, and are told from joint v
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -189,7 +190,9 @@ def pose_of_fields(aggregate: Aggregate) -> Array | None:
 
 def _find_files(path: Path) -> Iterator[Path]:
     """Yield the data list of a program, and the controller's configuration, as far as they are there."""
-    beside = {file.name.lower(): file for file in sorted(path.parent.iterdir())}
+    beside = {}
+    with contextlib.suppress(OSError):  # a folder may be read and not listed
+        beside = {file.name.lower(): file for file in sorted(path.parent.iterdir())}
     for name in (path.stem.lower() + ".dat", "$config.dat", "$machine.dat"):
         if name in beside:
             yield beside[name]
@@ -224,7 +227,8 @@ class _Reader:
         #: Aggregates by where they stand, and those that data lists give to variables.
         self.aggregates: dict[_Place, Aggregate] = {}
         self.defined: dict[str, _Place] = {}
-        self.routines = routines(parsed[0])
+        self.lines = parsed[0]
+        self.routines = routines(self.lines)
         self.by_name = {routine.name: routine for routine in self.routines if routine.name}
         for text, lines in zip(self.texts[1:], parsed[1:], strict=True):
             if text.path.suffix.lower() == ".src":
@@ -314,11 +318,14 @@ class _Reader:
             # A data list keeps what the program has set when it ran before.
             first = {*values, self.defined[key]} if key in self.defined else values
             start[key] = frozenset(first)
+        started = {name for line in self.lines for name in _started_by(line)}
         for number, routine in enumerate(self.routines):
             if number == 0:
                 self._run_routine(routine, start, 0)
             elif routine.name not in self.called:
-                self._run_routine(routine, join([start, self.seen]), 0)
+                # An interrupt or a trigger finds what the program has set; others may be called from anywhere.
+                before = [] if routine.name in started else [start]
+                self._run_routine(routine, join([*before, self.seen]), 0)
         self._check_missing()
         return self._of_files()
 
@@ -829,6 +836,14 @@ def _assignment(statement: Statement) -> tuple[Reference, Expression] | None:
         return None
     parser.at += 1
     return variable, parser.expression()
+
+
+def _started_by(statement: Statement) -> list[str]:
+    """Return the routine that an interrupt or a trigger starts: ``INTERRUPT DECL 3 WHEN ... DO NAME ( )``."""
+    words = [token.text for token in statement.tokens]
+    if not {"INTERRUPT", "TRIGGER"} & set(words[:3]) or "DO" not in words:
+        return []
+    return words[words.index("DO") + 1 :][:1]
 
 
 def _word(value: Expression) -> str:

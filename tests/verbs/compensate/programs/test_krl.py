@@ -235,3 +235,14 @@ def test_other_joints_need_the_names_of_axes():
     panda = Robot.load("panda", tip="panda_link8")
     with pytest.raises(MeasurementError, match="joint_a1"):
         read(DATA / "plain.src", Stated(panda.joint_names, robot=panda))
+
+
+def test_an_interrupt_has_the_tool_of_the_program(arm, tmp_path):
+    text = (DATA / "plain.src").read_text().replace("base_data[1]", "$nullframe")
+    start = "interrupt decl 3 when $in[1] do aside()\nptp {a1 10,"
+    text = (
+        text.replace("ptp {a1 10,", start, 1) + "def aside()\nlin {x 1,y 2,z 3,a 4,b 5,c 6}\nend\n"
+    )
+    (tmp_path / "p.src").write_text(text)
+    move = read(tmp_path / "p.src", stated(arm)).moves[-1]
+    np.testing.assert_allclose(move.T_tip_tool, TOOL, atol=1e-12)
