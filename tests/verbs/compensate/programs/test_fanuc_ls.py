@@ -120,7 +120,7 @@ PROGRAMS: dict[str, tuple[list[tuple[int, str, str]], list[tuple[int, str, str]]
             (15, "P[2]", "joint"),
             (16, "P[3]", "joint"),
             (17, "P[4]", "joint"),
-            (18, "P[1]", "linear"),
+            (18, "P[1]", "joint"),
         ],
         [],
     ),
@@ -370,7 +370,7 @@ def test_a_correction_beyond_half_a_turn_changes_the_turn(
 ) -> None:
     """Joint 6 at 179.9 deg, of which one of two corrections leads over 180 deg."""
     text = (DATA / "turns.ls").read_text()
-    for line in ("J P[3]", "J P[4]", "L P[1]"):
+    for line in ("J P[3]", "J P[4]"):
         text = text.replace(line, f"!{line}")
     path = tmp_path / "turns.ls"
     path.write_text(text)

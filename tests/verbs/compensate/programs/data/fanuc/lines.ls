@@ -17,7 +17,7 @@ CONTROL_CODE	= 00000000 00000000;
    4:  PAYLOAD[1] ;
    5:J P[1] 100% FINE     ;
    6:L P[2:above part] 500mm/sec CNT100 ACC50 ;
-   7:L P[3] 120cm/min CNT100 TB    .10sec,CALL GLUE(1)     ;
+   7:L P[3] 120cm/min CNT100 TB    .10sec,CALL SET_OFFSET(PR[1])     ;
    8:L P[4] 2.5sec FINE ;
    9:  JMP LBL[1] ;
   10:  LBL[1:end] ;

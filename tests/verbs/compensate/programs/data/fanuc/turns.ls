@@ -15,7 +15,7 @@ CONTROL_CODE	= 00000000 00000000;
    2:J P[2] 100% FINE ;
    3:J P[3] 100% FINE ;
    4:J P[4] 100% FINE ;
-   5:L P[1] 100mm/sec FINE ;
+   5:J P[1] 100% FINE ;
 /POS
 P[1]{
    GP1:
