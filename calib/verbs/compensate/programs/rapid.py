@@ -67,6 +67,9 @@ from calib.verbs.compensate.programs.rapid_syntax import (
 #: Endings of the names of modules.
 _ENDINGS = (".mod", ".modx", ".sys", ".sysx", ".prg")
 
+#: Folders of a task's modules in a backup.
+_BACKUP = ("progmod", "sysmod")
+
 #: Numbers from here on say that there is no value: ``9E9``.
 _NONE = 1e8
 
@@ -1118,15 +1121,23 @@ def _modules_beside(texts: Sequence[ProgramText]) -> list[Module]:
     known = {text.path.resolve() for text in texts}
     folder = texts[0].path.resolve().parent
     folders = [folder]
-    if folder.name.lower() in ("progmod", "sysmod"):
+    if folder.name.lower() in _BACKUP:
         folders += [
             other
-            for other in folder.parent.iterdir()
-            if other.is_dir() and other != folder and other.name.lower() in ("progmod", "sysmod")
+            for other in _listed(folder.parent)
+            if other.name.lower() in _BACKUP and other != folder
         ]
     modules = []
     for place in folders:
-        for path in sorted(place.iterdir()):
+        for path in _listed(place):
             if path.suffix.lower() in _ENDINGS and path.is_file() and path.resolve() not in known:
                 modules += read_modules(read_bytes(path, "RAPID module").decode("latin-1"), -1)
     return modules
+
+
+def _listed(folder: Path) -> list[Path]:
+    """Return what is in a folder, by name; nothing of one that cannot be listed."""
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []

@@ -206,6 +206,17 @@ def test_persistents_whose_value_is_in_another_module(tmp_path: Path) -> None:
         of(f"PERS tooldata t;\nPROC main()\nMoveL {P},v1,fine,t;\nENDPROC", tmp_path)
 
 
+def test_backup_of_a_task(tmp_path: Path) -> None:
+    for folder in ("PROGMOD", "SYSMOD"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "SYSMOD" / "user.sys").write_text(f"MODULE T\n{TOOL}\nENDMODULE")
+    path = tmp_path / "PROGMOD" / "main.mod"
+    path.write_text(f"MODULE M\nPROC main()\nMoveL {P},v1,fine,t;\nENDPROC\nENDMODULE")
+    program = read(path, Stated(NAMES))
+    assert program.moves[0].T_tip_tool is not None
+    assert program.moves[0].T_tip_tool[2, 3] == 0.1
+
+
 def test_letters_and_text_that_is_not_well_formed() -> None:
     program = read(DATA / "letters.modx", Stated(NAMES))
     assert motions(program) == [
