@@ -47,7 +47,7 @@ VERBS: dict[str, set[str]] = {
     "evaluate": {"detect"},
     "fleet": {"calibrate"},
     "history": set(),
-    "inspect": {"plan"},
+    "inspect": {"compensate", "plan"},
     "joints": {"compensate"},
     "plan": {"compensate", "view", "workspace"},
     "simulate": {"plan"},

@@ -29,6 +29,7 @@ from calib.errors import CalibError
 from calib.result.calibration import Calibration
 from calib.robot.dh_columns import is_dh_table
 from calib.robot.urdf import Urdf, read_urdf
+from calib.verbs.compensate.programs.dialects import DIALECTS
 
 #: Folders of folders are looked into so far.
 _DEEPEST = 2
@@ -65,6 +66,7 @@ class What(Enum):
     OUTPUT = "output"  # another file of calib's own
     PICTURES = "pictures"
     RECORDING = "recording"
+    PROGRAM = "program"
     PAGE = "page"
     FAULTY = "faulty"
 
@@ -197,6 +199,8 @@ def _entries(path: Path) -> Iterator[Entry]:
             yield from _json(path)
         elif suffix in _RECORDINGS:
             yield Entry(path, What.RECORDING)
+        elif suffix in DIALECTS:
+            yield Entry(path, What.PROGRAM)
         elif suffix in _PAGES:
             yield Entry(path, What.PAGE)
     except CalibError as error:
@@ -348,10 +352,10 @@ def _commands(folder: Folder) -> Iterator[str]:
     """Yield the next commands, the most likely first; each works as it stands."""
     fitted = {part for _, parts in folder.of_result for part in parts}
     open_fits = [fit for fit in folder.fits if fit.table not in fitted]
-    of_kind = {
-        what: [entry for entry in folder.entries if entry.what is what]
-        for what in (What.ROBOT, What.PICTURES, What.BOARD, What.SWEEPS, What.MANIFEST)
-    }
+    of_kind = {what: [entry for entry in folder.entries if entry.what is what] for what in What}
+    for entry in of_kind[What.RECORDING]:
+        if not open_fits:
+            yield _command("bag", entry.path)
     for fit in open_fits:
         for result, parts in folder.of_result:
             if fit.robot in parts:
@@ -390,6 +394,14 @@ def _commands(folder: Folder) -> Iterator[str]:
         for robot in robots[:1]:
             page = _free(folder, "robots.html")
             yield _command("view", robot.path, "--calibration", result.path, "-o", page)
+            for program in of_kind[What.PROGRAM]:
+                corrected = _free(folder, f"corrected{program.path.suffix}")
+                yield _command(
+                    "compensate", robot.path, program.path, "--calibration", result.path,
+                    "-o", corrected,
+                )  # fmt: skip
+    if len(folder.of_result) > 1:
+        yield _command("history", folder.path)
     if not folder.fits and not folder.of_result:
         for robot in of_kind[What.ROBOT][:1]:
             yield _command("inspect", robot.path)

@@ -14,6 +14,7 @@ _PLAIN = {
     What.BOARD: "description of a printed board",
     What.CAMERA: "camera",
     What.RECORDING: "recording (bag)",
+    What.PROGRAM: "robot program",
     What.PAGE: "page to open and print",
 }
 

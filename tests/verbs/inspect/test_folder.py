@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import calib
+from calib.example import paper_measurements
 from calib.verbs.inspect.folder import What, look_into
 from calib.verbs.inspect.folder_text import folder_text
 from tests.cli_fixtures import fill
@@ -88,6 +90,24 @@ def test_what_belongs_together(folder: Path):
     assert "shoulder_pan_joint" in misfits["other.csv"]
     text = folder_text(look_into(folder))
     assert "bare.csv fits no robot here." in text
+
+
+def test_recordings_programs_and_several_results_have_their_commands(tmp_path: Path):
+    folder = fill(tmp_path)
+    for name in ("data.csv", "joints.csv", "tracker.txt", "manifest.csv", "sweeps.csv"):
+        (folder / name).unlink()
+    (folder / "run.mcap").write_bytes(b"")
+    (folder / "prog.src").write_text("DEF prog()\nEND\n")
+    assert found(folder)["run.mcap"] is What.RECORDING
+    assert found(folder)["prog.src"] is What.PROGRAM
+    assert f"calib bag {folder / 'run.mcap'}" in look_into(folder).commands
+    robot = calib.Robot.load(folder / "robot.urdf", "base", "tool0")
+    result = calib.calibrate(robot, paper_measurements(), cell=calib.Cell(model="zeros"))
+    for name in ("a.json", "b.json"):
+        result.write_json(folder / name)
+    verbs = [shlex.split(command)[1] for command in look_into(folder).commands]
+    assert {"compensate", "history"} <= set(verbs)
+    assert verbs[-1] == "history"
 
 
 def run_all(call, folder: Path) -> list[str]:
