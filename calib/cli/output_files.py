@@ -35,7 +35,9 @@ def check_outputs(
             continue
         resolved = Path(os.path.realpath(path))
         if resolved in roles:
-            raise FileError(f"{path} is also {roles[resolved]} of this command.")
+            raise FileError(
+                f"{path} is also {roles[resolved]} of this command; give the output another name or folder."
+            )
         roles[resolved] = "another output"
         if not xacro:
             check_no_xacro(path)

@@ -338,6 +338,7 @@ def compensate(
     It raises `VerdictError` for a verdict 'do not use' that was not accepted, and `CalibError` if rows have no command,
     unless they are to be skipped and others have one.
     """
+    from calib.basics.files import make_folder
     from calib.basics.units import MASS, parse_amount, parse_joint_values
     from calib.robot.gravity import Payload
     from calib.show.verdict_text import refusal
@@ -409,6 +410,8 @@ def compensate(
         if output is not None:
             own = [] if force else [text.path for text in file.texts]
             inputs = [*own, robot, source, cell_options.file]
+            # Files that a program shares keep their names: they need a folder of their own.
+            make_folder(output.parent)
             check_outputs(output_paths(file, output), inputs, force=force)
         result = corrected(
             file,

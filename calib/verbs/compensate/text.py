@@ -298,12 +298,15 @@ def expected_paragraphs(commands: Commands, noun: str = "row") -> str:
             rows.append((_SOURCES[source], f"{alone:.3f}", f"{100.0 * share:.0f} %"))
     sources = "\n".join(table_lines(columns, rows))
 
-    remedies = map(fill, _remedies(commands, expected))
+    remedies = map(fill, _remedies(commands, expected, noun))
     return "\n\n".join([fill(sentence), sources, *remedies])
 
 
-def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
-    """Yield sentences on what the expected errors leave out, and on what lowers the largest contribution to them."""
+def _remedies(commands: Commands, expected: ExpectedErrors, noun: str) -> Iterator[str]:
+    """Yield sentences on what the expected errors leave out, and on what lowers the largest contribution to them.
+
+    Rows are called by a noun; those of a robot program are motions, whose poses are in its own frames.
+    """
     pair, largest = commands.pair, expected.largest
     result = pair.result
     assert result is not None  # else nothing is expected
@@ -320,6 +323,12 @@ def _remedies(commands: Commands, expected: ExpectedErrors) -> Iterator[str]:
         )
     elif largest == "model" and result.non_geometric is not None and not pair.non_geometric:
         yield "To lower it: use the non-geometric model, without --geometry."
+    elif largest == "base" and expected.in_measured_frame is not None and noun != "row":
+        yield (
+            f"Among each other the motions are more accurate ({_MM * expected.in_measured_frame:.3f} mm): an estimated "
+            "frame absorbs whatever displaces the first joint in the base. To lower the rest: measure in a frame of "
+            "known points on the base (--frame known)."
+        )
     elif largest == "base" and expected.in_measured_frame is not None:
         groups, ends = result.setup.groups, pair.nominal.robot
         # Of several chains, a frame on the base of the commands, or else the first one that sees the hand.
