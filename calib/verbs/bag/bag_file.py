@@ -148,7 +148,7 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
             )
             begin, end = reader.start_time, reader.end_time
         if not any(topic.count for topic in topics):
-            raise MeasurementError(f"{source}: the bag has no message.")
+            raise MeasurementError(f"{source}: the bag has no message; record it again.")
         yield Bag(source, topics, begin, (end - begin) * NANOSECOND, reader, is_ros2)
     finally:
         reader.close()

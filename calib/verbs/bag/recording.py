@@ -160,7 +160,8 @@ def read_recording(
             reader.check()
     if not sent:
         raise MeasurementError(
-            f"{bag.source}: no message of '{topic.name}' has positions of named joints."
+            f"{bag.source}: no message of '{topic.name}' has positions of named joints; name another topic of the type "
+            f"{JOINTS} as --joints."
         )
     joint_stream, clock = _joints(bag, sent, wanted, without, stamps)
     clocks = [(topic.name, clock)]
@@ -200,7 +201,7 @@ def _joints(
             f"{choices(all_names, limit=30)}. Leave it out (--without), or give the robot of this bag."
         )
     if not names:
-        raise MeasurementError(f"{bag.source}: --without leaves no joint.")
+        raise MeasurementError(f"{bag.source}: --without leaves no joint; leave out fewer.")
     pairs = np.concatenate([np.array(times, dtype=np.int64) for times, _, _ in sent.values()])
     clock = _clock(pairs, stamps)
     publishers = []
