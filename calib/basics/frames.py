@@ -82,22 +82,22 @@ def table_of_frame(frame: Frame, argument: str = "frame") -> Table:
     if not is_frame(frame):
         raise wrong_type(argument, frame, _FRAME)
     source = type(frame).__name__
-    columns: dict[int, tuple[str, list[str]]] = {}
-    for i, (name, values) in enumerate(_columns(frame)):
+    columns: list[tuple[str, list[str]]] = []
+    for name, values in _columns(frame):
         if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
             raise wrong_type(f"{argument}[{name!r}]", values, "a sequence of cells")
-        columns[i] = (" ".join(str(name).split()), list(map(text_of_cell, _listed(values))))
-    header = tuple(name for name, _ in columns.values())
+        columns.append((" ".join(str(name).split()), list(map(text_of_cell, _listed(values)))))
+    header = tuple(name for name, _ in columns)
     if not header:
         raise MeasurementError(f"{source}: there are no columns.")
-    first = header[0]
-    counts = {name: len(cells) for name, cells in columns.values()}
-    for name, count in counts.items():
-        if count != counts[first]:
+    first, cells_of_first = columns[0]
+    for name, cells in columns:
+        if len(cells) != len(cells_of_first):
             raise MeasurementError(
-                f"{source}: the column '{first}' has {counts[first]} rows, '{name}' has {count}. Give all as many."
+                f"{source}: the column '{first}' has {len(cells_of_first)} rows, '{name}' has {len(cells)}. Give all "
+                "as many."
             )
-    rows = tuple(map(list, zip(*(cells for _, cells in columns.values()), strict=True)))
+    rows = tuple(map(list, zip(*(cells for _, cells in columns), strict=True)))
     text = "\n".join("\t".join(row) for row in (header, *rows))
     sha256 = hashlib.sha256(text.encode()).hexdigest()
     # Between the cells is no sign: a comma in one is decimal, as behind a tab.

@@ -131,7 +131,7 @@ def separator_of(lines: Sequence[Line]) -> str:
 
 
 def cells_of(line: str, separator: str | None = None, *, is_header: bool = True) -> list[str]:
-    """Return the stripped cells of one line; None: it is separated as it looks itself.
+    """Return the stripped cells of one line.
 
     Args:
         line: The line.

@@ -148,7 +148,7 @@ _UFACTORY_LIMITS: dict[str, _Limits] = {
     ),
 }
 
-#: The last joint and the flange of all Rizon arms but for the flange's height [m], [rad].
+#: Origin of the last joint of all Rizon arms [m], [rad].
 _RIZON_WRIST: Numbers = (-0.015, 0.073, 0.11, 0, -np.pi / 2, 0)
 
 

@@ -153,10 +153,6 @@ class Mjcf:
             builder.refused,
         )
 
-    def body(self, name: str) -> MjcfBody:
-        """Return the body of a name, which exists."""
-        return next(body for body in self.bodies if body.name == name)
-
 
 @dataclass(slots=True)
 class _Builder:

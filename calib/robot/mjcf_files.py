@@ -27,7 +27,7 @@ _WHAT = "MuJoCo model (MJCF)"
 class MjcfFile:
     """One XML file of a model."""
 
-    #: The file; None if it came as bytes.
+    #: Where it is, or will be if it is not written yet.
     path: Path
     #: Its name as the ``<include>`` states it; of the main file its own.
     name: str

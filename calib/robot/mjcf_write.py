@@ -59,7 +59,7 @@ def model_of(urdf: Urdf, name: str) -> Mjcf:
 
     Args:
         urdf: The URDF.
-        name: What it is the robot of, for messages: the name of the file to write.
+        name: The file to write, for messages.
 
     Raises:
         FileError: The URDF was made from no MJCF, or the file is not there any more.
@@ -288,10 +288,7 @@ class _Edits:
         result = {}
         for file in files.files:
             if file.path in new_paths:
-                data = file.document.data
-                for start, end, new in sorted(patches[file.path], reverse=True):
-                    data = data[:start] + new + data[end:]
-                result[new_paths[file.path]] = data
+                result[new_paths[file.path]] = file.document.patched(patches[file.path])
         return result
 
     def _ways_to(self, file: MjcfFile) -> Iterator[Path]:

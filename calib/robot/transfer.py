@@ -92,6 +92,9 @@ def transferred(nominal: Robot, corrected: Robot, other: Robot) -> Transfer:
         corrected: The same chain with other placements.
         other: The chain of the other description, with its own names; its n joints are those of ``nominal`` in order.
 
+    Returns:
+        The other description, corrected, with how its base and tip lie to those of the first one.
+
     Raises:
         ModelError: The two are not one robot; the text names the first joint that differs, and by how much.
         UrdfError: The tip of the other one has no place for a correction.

@@ -360,10 +360,7 @@ class Urdf(Value):
 
     def _patched(self, patches: list[tuple[int, int, bytes]]) -> Urdf:
         """Return the URDF with the bytes from start to before end replaced, for every (start, end, new bytes)."""
-        data = self.data
-        for start, end, new in sorted(patches, reverse=True):
-            data = data[:start] + new + data[end:]
-        return Urdf.from_bytes(data, self.source, self.path)
+        return Urdf.from_bytes(self._document.patched(patches), self.source, self.path)
 
     def _joint_index(self, name: str) -> int:
         """Return the index of a joint in `joints`; UrdfError if there is none of that name."""

@@ -6,7 +6,7 @@ With these positions one number can be changed while all other bytes (comments, 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from xml.etree import ElementTree
@@ -180,6 +180,13 @@ class Document:
         line = re.sub("-(?=-)", "- ", line)
         line_end = b"\r\n" if b"\r\n" in self.data else b"\n"
         return b"<!-- " + line.encode(self.encoding, "xmlcharrefreplace") + b" -->" + line_end
+
+    def patched(self, patches: Iterable[tuple[int, int, bytes]]) -> bytes:
+        """Return the file with the bytes from start to before end replaced, for every (start, end, new bytes)."""
+        data = self.data
+        for start, end, new in sorted(patches, reverse=True):
+            data = data[:start] + new + data[end:]
+        return data
 
     def quoted(self, value: str) -> bytes:
         """Return an attribute value in quotes, escaped, in the encoding of the file."""

@@ -37,9 +37,6 @@ _WORD = re.compile(r"(?:\$\{[^}]*\}|\$\([^)]*\)|\S)+")
 #: A name in an expression, without what follows a point or stands in quotes.
 _NAME = re.compile(r"""(?<![\w.'"])[A-Za-z_]\w*""")
 
-#: Attributes of a joint's origin, each with what it is in messages.
-_KEYS = ("xyz", "rpy")
-
 
 @dataclass(frozen=True, slots=True)
 class _Source:
@@ -138,13 +135,11 @@ def corrected_xacro(call: XacroCall, nominal: Urdf, corrected: Urdf) -> dict[Pat
             "them by hand, or let the xacro read its origins from a file (calib convert --to origins).\n  "
             + "\n  ".join(faults)
         )
-    result = {}
-    for source in sources:
-        if source.path in patches:
-            data = source.document.data
-            for start, end, new in sorted(patches[source.path], reverse=True):
-                data = data[:start] + new + data[end:]
-            result[source.path] = data
+    result = {
+        source.path: source.document.patched(patches[source.path])
+        for source in sources
+        if source.path in patches
+    }
     again, _ = flatten_with_marks(call, result)
     _check_same(Urdf.from_bytes(_unmarked(again), call.name), corrected, "the corrected xacro")
     return result

@@ -93,7 +93,7 @@ class Motors:
 
         Raises:
             FileError: The file cannot be read, or is not of LeRobot.
-            MeasurementError: The number of ticks is zero.
+            MeasurementError: A turn has fewer than 2 ticks.
         """
         match = _STATED.fullmatch(str(text))
         if match is None:

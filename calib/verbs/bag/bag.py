@@ -178,7 +178,7 @@ def bag_table(
     moving: bool | None = None,
     progress: Progress | None = None,
 ) -> BagTable:
-    """Do as `bag` of a bag that is open; ``settings`` are its times of stops, None: the defaults."""
+    """Do as `bag` with a bag that is open; ``settings`` are ``settle`` and ``shortest``, None: the defaults."""
     chosen = settings or Settings()
     topics = [PointTopic.parse(text) for text in points]
     _check_names(topics)
@@ -204,9 +204,9 @@ def bag_table(
     stated = lags or {}
     labels = {"", *(each.topic for each in recording.points)}
     if not labels.issuperset(stated):
+        there = choices(sorted(labels - {""})) or "none is given"
         raise MeasurementError(
-            f"--lag names {choices(sorted(set(stated) - labels))}, which is none of --points: "
-            f"{choices(sorted(labels - {''}))}."
+            f"--lag names {choices(sorted(set(stated) - labels))}, which is none of --points: {there}."
         )
     kinematic = robot if robot is not None and stream.names == robot.joint_names else None
     for each in recording.points:

@@ -25,7 +25,8 @@ ENDINGS = (".bag", ".mcap", ".db3")
 #: The description of a rosbag 2.
 _METADATA = "metadata.yaml"
 
-_SECOND = 1e-9
+#: Times of messages are whole numbers of these [s].
+NANOSECOND = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ class Bag:
         with _refusing_damage(self.source):
             for connection, received, data in self._reader.messages(wanted):
                 if edges is not None:
-                    at = (received - self.begin) * _SECOND
+                    at = (received - self.begin) * NANOSECOND
                     if np.searchsorted(edges, at, side="right") % 2 == 0:
                         continue
                 key = (connection.topic, connection.id)
@@ -147,8 +148,8 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
             )
             begin, end = reader.start_time, reader.end_time
         if not any(topic.count for topic in topics):
-            raise MeasurementError(f"{source}: the bag has no message.")
-        yield Bag(source, topics, begin, (end - begin) * _SECOND, reader, is_ros2)
+            raise MeasurementError(f"{source}: the bag has no message; record it again.")
+        yield Bag(source, topics, begin, (end - begin) * NANOSECOND, reader, is_ros2)
     finally:
         reader.close()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -212,7 +214,7 @@ def bag(
         typer.echo("\n".join([*lines, *next_lines(made, table, folder, robot)]))
 
 
-def _lags(texts: list[str] | tuple[()]) -> dict[str, float]:
+def _lags(texts: Sequence[str]) -> dict[str, float]:
     """Return the stated lags [s] by topic, ``""`` for all of them; CalibError if one is no number."""
     lags = {}
     for text in texts:
@@ -223,7 +225,7 @@ def _lags(texts: list[str] | tuple[()]) -> dict[str, float]:
             raise CalibError(
                 f"--lag was given '{text}'; it must be a number of seconds, such as 0.25 or /tracker=0.25."
             ) from error
-        if seconds != seconds or abs(seconds) == float("inf") or topic in lags:
+        if not math.isfinite(seconds) or topic in lags:
             raise CalibError(f"--lag was given '{text}'; it must be finite, and each topic once.")
         lags[topic] = seconds
     return lags

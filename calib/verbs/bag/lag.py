@@ -36,13 +36,14 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers
+from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import Value
 from calib.robot.robot import Robot
+from calib.verbs.bag.speeds import runs, velocities
 from calib.verbs.bag.streams import JointStream, PointStream
 
 #: Lags are looked for up to so much either way [s].
-LARGEST = 10.0
+_LARGEST = 10.0
 
 #: Speeds are compared on a grid of so much [s].
 _GRID = 0.02
@@ -75,7 +76,7 @@ _MOST_POINTS = 400
 _MOST_TOGETHER = 4000
 
 #: Fewer windows than this say nothing of a standard deviation.
-FEWEST_WINDOWS = 3
+_FEWEST_WINDOWS = 3
 
 #: Speeds slower than this share of the fast ones are rest.
 _RESTING = 0.02
@@ -112,7 +113,7 @@ def find_lag(joints: JointStream, points: PointStream, robot: Robot | None = Non
     Args:
         joints: The joint values; with a robot, their names are the robot's, in its order.
         points: The points.
-        robot: The nominal robot; its tip may be any link that the target is fixed to; None: by speeds alone.
+        robot: The nominal robot; its tip may be any link that the target is fixed to; None: by the motion alone.
 
     Returns:
         The lag with its standard deviation, or why there is none.
@@ -143,8 +144,8 @@ _AS_GOOD = 1.5
 
 def _shifts_of_speeds(joints: JointStream, points: PointStream) -> list[float]:
     """Return up to three lags at which the speeds of joints and points agree best, the best first [s]."""
-    begin = min(joints.times[0], points.times[0]) - LARGEST
-    end = max(joints.times[-1], points.times[-1]) + LARGEST
+    begin = min(joints.times[0], points.times[0]) - _LARGEST
+    end = max(joints.times[-1], points.times[-1]) + _LARGEST
     count = int((end - begin) / _GRID) + 1
     grid = begin + _GRID * np.arange(count)
     of_joints, seen_joints = _speed(joints.times, joints.q, grid)
@@ -163,7 +164,7 @@ def _shifts_of_speeds(joints: JointStream, points: PointStream) -> list[float]:
     product = np.fft.irfft(
         np.conj(np.fft.rfft(shapes[0], size)) * np.fft.rfft(shapes[1], size), size
     )
-    most = round(LARGEST / _GRID)
+    most = round(_LARGEST / _GRID)
     shifts = np.arange(-most, most + 1)
     values = product[shifts]
     # Overlaps differ little: a bag is far longer than the largest lag, or it does not matter.
@@ -196,7 +197,7 @@ def _shifts_of_paths(joints: JointStream, points: PointStream, robot: Robot | No
         terms = _kinematic_terms(robot)
     else:
         terms = _arm_terms(joints.at(times), min(_TERMS_OF_SCAN, len(times) // 8))
-    most = round(LARGEST / _SCAN)
+    most = round(_LARGEST / _SCAN)
     lags = _SCAN * np.arange(-most, most + 1)
     cost = np.full(len(lags), np.inf)
     for k, lag in enumerate(lags):
@@ -233,12 +234,9 @@ _TERMS_OF_SCAN = 150
 _EXPLAINED = 0.5
 
 
-def _speed(times: Array, values: Array, grid: Array) -> tuple[Array, np.ndarray]:
+def _speed(times: Array, values: Array, grid: Array) -> tuple[Array, Mask]:
     """Return the speed of values (N, D) on a grid, smoothed, and where on the grid there are values."""
     half = 0.5 * _SMOOTH
-    # Means over the halves before and after, by the integral of the values: noise and jitter are averaged.
-    steps = np.diff(times)[:, None] * 0.5 * (values[1:] + values[:-1])
-    integral = np.vstack([np.zeros(values.shape[1]), np.cumsum(steps, axis=0)])
     inside = (grid >= times[0] + half) & (grid <= times[-1] - half)
     index = np.searchsorted(times, grid)
     near = np.clip(index, 1, len(times) - 1)
@@ -246,11 +244,8 @@ def _speed(times: Array, values: Array, grid: Array) -> tuple[Array, np.ndarray]
     usual = np.median(np.diff(times))
     inside &= gap < max(10.0 * usual, _SMOOTH)
     speed = np.zeros(len(grid))
-    at = grid[inside]
-    for column in range(values.shape[1]):
-        total = [np.interp(at + k * half, times, integral[:, column]) for k in (-1, 0, 1)]
-        speed[inside] += ((total[2] - 2.0 * total[1] + total[0]) / half**2) ** 2
-    return np.sqrt(speed), inside
+    speed[inside] = np.linalg.norm(velocities(times, values, grid[inside], half), axis=1)
+    return speed, inside
 
 
 def _windows(joints: JointStream, points: PointStream, lag: float) -> tuple[list[Integers], bool]:
@@ -261,11 +256,10 @@ def _windows(joints: JointStream, points: PointStream, lag: float) -> tuple[list
     if not seen.any():
         return [], False
     is_moving = speed > _RESTING * np.quantile(speed[seen], 0.95)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_moving, [False]]).astype(int)))
     spans: list[tuple[float, float]] = []
     moves = 0
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        start, stop = grid[first] - _REST, grid[last - 1] + _REST
+    for first, last in runs(is_moving):
+        start, stop = grid[first] - _REST, grid[last] + _REST
         length = stop - start
         parts = 1 if length <= _LONGEST_MOVE else int(np.ceil(length / _WINDOW))
         moves += parts == 1
@@ -300,7 +294,7 @@ def _refined(
     lag = guess
     for _ in range(_MOST_STEPS):
         windows, rests = _windows(joints, points, lag)
-        if len(windows) < FEWEST_WINDOWS:
+        if len(windows) < _FEWEST_WINDOWS:
             return None
         products = partial(_products, joints, points, robot, windows, rests=rests)
         vr, kept, square = products(lag)

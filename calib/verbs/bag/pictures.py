@@ -18,7 +18,7 @@ from calib.basics.files import check_writable, csv_bytes, make_folder, write_ato
 from calib.basics.jobs import Progress
 from calib.basics.values import Value
 from calib.errors import MeasurementError
-from calib.verbs.bag.bag_file import Bag
+from calib.verbs.bag.bag_file import NANOSECOND, Bag
 from calib.verbs.bag.messages import IMAGES, grey, stamp
 from calib.verbs.bag.recording import SAME_CLOCK
 from calib.verbs.bag.streams import JointStream
@@ -27,7 +27,6 @@ from calib.verbs.bag.table import Skipped
 #: The table of joint values in the folder, as `calib detect` and `calib evaluate` look for it.
 JOINTS = "joints.csv"
 
-_SECOND = 1e-9
 _MM = 1e3
 
 #: How files of pictures begin, by the ending of their names.
@@ -91,7 +90,7 @@ def write_pictures(
                 f"{bag.source}: '{topic.name}' of --images has messages of the type {topic.type}; pictures are read "
                 f"from {' and '.join(IMAGES)}."
             )
-        by_name[topic.name] = (each, topic.type)
+        by_name[topic.name] = each
     made = make_folder(folder)
     check_writable(made / JOINTS, overwrite=overwrite)
     has_cameras = any(each.camera for each in topics)
@@ -110,7 +109,7 @@ def write_pictures(
             float(value * _MM if unit == "mm" else np.degrees(value))
             for value, unit in zip(q, units, strict=True)
         ]
-        for name, (each, _) in by_name.items():
+        for name, each in by_name.items():
             if name not in nearest:
                 skipped.append(Skipped(float(begin), float(end - begin), "no_image", name))
                 continue
@@ -155,12 +154,12 @@ def _nearest(
     wide = spans + np.array([0.0, _LATE])
     wide[:-1, 1] = np.minimum(wide[:-1, 1], wide[1:, 0])
     for name, received, message in bag.messages(names, wide):
-        at = (received - bag.begin) * _SECOND
+        at = (received - bag.begin) * NANOSECOND
         while done < len(spans) and at > spans[done, 1] + _LATE:
             yield {topic: found for topic, (_, found) in best[done].items()}
             best[done] = {}
             done += 1
-        stamped = (stamp(message.header) - bag.begin) * _SECOND
+        stamped = (stamp(message.header) - bag.begin) * NANOSECOND
         if by_stamps and abs(stamped - at) < SAME_CLOCK:
             at = stamped
         stop = int(np.searchsorted(spans[:, 0], at, side="right")) - 1

@@ -19,7 +19,7 @@ from calib.basics.arrays import Array, Integers
 from calib.basics.jobs import Progress
 from calib.basics.values import Value
 from calib.errors import MeasurementError, choices, did_you_mean
-from calib.verbs.bag.bag_file import Bag
+from calib.verbs.bag.bag_file import NANOSECOND, Bag
 from calib.verbs.bag.messages import JOINTS, PointReader, stamp
 from calib.verbs.bag.streams import JointStream, PointStream, Publisher, merged
 
@@ -37,8 +37,6 @@ _SHORT = 5.0
 
 #: Stamps scatter against the time of receipt by less than this (median), or they are no time of the measurement [s].
 _PLAUSIBLE_SCATTER = 0.5
-
-_SECOND = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +160,8 @@ def read_recording(
             reader.check()
     if not sent:
         raise MeasurementError(
-            f"{bag.source}: no message of '{topic.name}' has positions of named joints."
+            f"{bag.source}: no message of '{topic.name}' has positions of named joints; name another topic of the type "
+            f"{JOINTS} as --joints."
         )
     joint_stream, clock = _joints(bag, sent, wanted, without, stamps)
     clocks = [(topic.name, clock)]
@@ -189,7 +188,7 @@ def _joints(
     """Return the stream of the wanted joints, and its clock."""
     all_names = list(dict.fromkeys(name for names in sent for name in names))
     for name in without:
-        if name not in all_names:
+        if name not in all_names and name not in (wanted or ()):
             raise MeasurementError(
                 f"{bag.source}: --without names the joint '{name}', which is not sent"
                 f"{did_you_mean(name, all_names)}. The joints: {choices(all_names, limit=30)}."
@@ -199,10 +198,10 @@ def _joints(
     if missing:
         raise MeasurementError(
             f"{bag.source}: the robot's joint {choices(missing)} is not sent; the bag has "
-            f"{choices(all_names, limit=30)}. Hold it (--hold), or give the robot of this bag."
+            f"{choices(all_names, limit=30)}. Leave it out (--without), or give the robot of this bag."
         )
     if not names:
-        raise MeasurementError(f"{bag.source}: --without leaves no joint.")
+        raise MeasurementError(f"{bag.source}: --without leaves no joint; leave out fewer.")
     pairs = np.concatenate([np.array(times, dtype=np.int64) for times, _, _ in sent.values()])
     clock = _clock(pairs, stamps)
     publishers = []
@@ -246,15 +245,15 @@ def _clock(pairs: Integers, stamps: Stamps) -> Clock:
     """Choose the clock of messages by their stamps and times of receipt, shape (N, 2) [ns]."""
     if stamps == "received":
         return Clock("received", 0.0, "stated")
-    difference = (pairs[:, 1] - pairs[:, 0]) * _SECOND
+    difference = (pairs[:, 1] - pairs[:, 0]) * NANOSECOND
     offset = float(np.median(difference))
     shift = offset if abs(offset) > SAME_CLOCK else 0.0
     if stamps == "header":
         return Clock("header", shift)
-    if np.mean(pairs[:, 0] == 0) > 0.0:
+    if (pairs[:, 0] == 0).any():
         return Clock("received", 0.0, "unset")
     first, last = np.argmin(pairs[:, 1]), np.argmax(pairs[:, 1])
-    span = (pairs[last] - pairs[first]) * _SECOND
+    span = (pairs[last] - pairs[first]) * NANOSECOND
     if span[1] > _SHORT and abs(span[0] / span[1] - 1.0) > max(_SAME_RATE, 1.0 / span[1]):
         return Clock("received", 0.0, "rate")
     if np.median(np.abs(difference - offset)) > _PLAUSIBLE_SCATTER:
@@ -265,6 +264,6 @@ def _clock(pairs: Integers, stamps: Stamps) -> Clock:
 def _times(bag: Bag, pairs: Integers, clock: Clock) -> Array:
     """Return the times of messages, shape (N,) [s] from the beginning of the bag, of (N, 2) [ns]."""
     if clock.by == "received":
-        return np.asarray((pairs[:, 1] - bag.begin) * _SECOND)
+        return np.asarray((pairs[:, 1] - bag.begin) * NANOSECOND)
     # Whole nanoseconds first: seconds since 1970 as a float have steps of 0.2 microseconds.
-    return np.asarray((pairs[:, 0] + round(clock.offset / _SECOND) - bag.begin) * _SECOND)
+    return np.asarray((pairs[:, 0] + round(clock.offset / NANOSECOND) - bag.begin) * NANOSECOND)

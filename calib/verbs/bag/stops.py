@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.basics.arrays import Array
+from calib.verbs.bag.speeds import means, runs, velocities
 from calib.verbs.bag.streams import JointStream
 
 #: Speeds are looked at on a grid of so much [s].
@@ -54,13 +55,11 @@ def find_stops(joints: JointStream) -> Array:
     if not len(grid):
         return np.zeros((0, 2))
     is_still = np.ones(len(grid), dtype=bool)
-    for q, reported in zip(joints.q.T, joints.speeds.T, strict=True):
-        integral = _integral(joints.times, q)
-        parts = [np.interp(grid + k * _HALF, joints.times, integral) for k in (-1, 0, 1)]
-        signed = (parts[2] - 2.0 * parts[1] + parts[0]) / _HALF**2
+    by_position = velocities(joints.times, joints.q, grid, _HALF)
+    for signed, reported in zip(by_position.T, joints.speeds.T, strict=True):
         speed = np.abs(signed)
         if np.isfinite(reported).all():
-            by_driver = _mean(joints.times, reported, grid)
+            by_driver = means(joints.times, reported, grid, _HALF)
             norm = np.sqrt(np.sum(signed**2) * np.sum(by_driver**2))
             if norm > 0.0 and np.sum(signed * by_driver) > _BELIEVED * norm:
                 speed = np.maximum(speed, np.abs(by_driver))
@@ -74,25 +73,12 @@ def find_stops(joints: JointStream) -> Array:
     gap = joints.times[near] - joints.times[near - 1]
     is_still &= gap < max(_HALF, 10.0 * joints.interval)
 
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_still, [False]]).astype(int)))
     stops = []
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        begin, end = grid[start], grid[stop - 1]
+    for start, stop in runs(is_still):
+        begin, end = grid[start], grid[stop]
         if end - begin >= SHORTEST and _drift(joints, begin, end) < _DRIFT:
             stops.append((begin, end))
     return np.array(stops).reshape(-1, 2)
-
-
-def _integral(times: Array, values: Array) -> Array:
-    """Return the integral of values over time, by trapezoids, shape (N,)."""
-    return np.concatenate([[0.0], np.cumsum(np.diff(times) * 0.5 * (values[1:] + values[:-1]))])
-
-
-def _mean(times: Array, values: Array, grid: Array) -> Array:
-    """Return the mean of values over `_HALF` either way of each time of a grid."""
-    integral = _integral(times, values)
-    after, before = (np.interp(grid + k * _HALF, times, integral) for k in (1, -1))
-    return np.asarray((after - before) / (2.0 * _HALF))
 
 
 def _drift(joints: JointStream, begin: float, end: float) -> float:

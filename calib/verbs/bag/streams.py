@@ -123,7 +123,8 @@ def merged(publishers: Sequence[Publisher], joints: Sequence[str]) -> JointStrea
     common = reference[(reference >= begin) & (reference <= end)]
     if len(common) < _FEWEST:
         raise MeasurementError(
-            f"The joints {choices(joints)} are not sent at the same time for long: {len(common)} messages."
+            f"The joints {choices(joints)} are not sent at the same time for long: {len(common)} messages, and "
+            f"{_FEWEST} are needed. Record them together, or leave some of them out (--without)."
         )
     columns: dict[str, list[Array]] = {"q": [], "speeds": []}
     for name in joints:

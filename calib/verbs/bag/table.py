@@ -20,7 +20,6 @@ from calib.basics.arrays import Array
 from calib.basics.files import csv_bytes
 from calib.basics.values import Value
 from calib.data.columns import DEFAULT_TARGET
-from calib.verbs.bag.stops import SHORTEST
 from calib.verbs.bag.streams import JointStream, PointStream
 
 #: The end of a stop is not used: the lag is not exact [s].
@@ -93,7 +92,7 @@ def used_spans(stops: Array, settings: Settings) -> tuple[Array, list[Skipped]]:
         start, stop = begin + settings.settle, end - _MARGIN
         if stop - start >= settings.shortest:
             spans.append((start, stop))
-        elif end - begin >= SHORTEST:
+        else:
             skipped.append(Skipped(float(begin), float(end - begin), "short"))
     return np.array(spans).reshape(-1, 2), skipped
 

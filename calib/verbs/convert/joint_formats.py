@@ -44,6 +44,7 @@ from calib.verbs.convert.format import (
 )
 from calib.verbs.convert.joint_arms import NumberedJoints, arm_robot, check_arm, flange_distance
 from calib.verbs.convert.kinematics_tables import (
+    POSE_KEYS,
     KinematicsTable,
     find_table,
     pose_entry,
@@ -323,7 +324,7 @@ def _bytes_of(
         key = name.removeprefix(prefix)
         like = None if own is None else own.numbers.get(key)
         held = table.get(key, {})
-        extra = {k: value for k, value in held.items() if k not in "xyz" and k not in _ANGLES}
+        extra = {k: value for k, value in held.items() if k not in POSE_KEYS}
         axis = axes.get(name)
         if not held and axis is not None and not _is_axis("0 0 1", axis):
             extra = {"axis": " ".join(f"{number:g}" for number in axis)}
@@ -337,10 +338,6 @@ def _bytes_of(
         inner[own.table.where[-1]] = table
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=math.inf)
     return f"# Lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).\n{text}".encode()
-
-
-#: The angles of a pose.
-_ANGLES = ("roll", "pitch", "yaw")
 
 
 def _joint_after(robot: Robot, name: str) -> str | None:

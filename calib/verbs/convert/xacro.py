@@ -72,7 +72,7 @@ def _call(urdf: Urdf, options: Options) -> XacroCall:
     call = replace(stated, path=XacroCall.parse(str(urdf.path)).path)
     if not call.path.is_file():
         raise FileError(
-            f"the xacro '{call.path}' that the result was made with is not there; give it with its arguments as "
+            f"The xacro '{call.path}' that the result was made with is not there; give it with its arguments as "
             "--robot."
         )
     return call

@@ -128,7 +128,7 @@ def fleet_outliers(
     kinds = list(dict.fromkeys(row.kind for row in done))
     for kind in kinds:
         alike = [row for row in done if row.kind == kind]
-        # Of robots with the same data the first one counts in median and MAD.
+        # Of robots with the same data only the first one says what is usual.
         _, first = np.unique([row.measured for row in alike], return_index=True)
         counted = np.zeros(len(alike), dtype=np.bool_)
         counted[first] = True

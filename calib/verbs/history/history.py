@@ -9,7 +9,6 @@ Everything is read from the files of a folder, each time; `calib.verbs.history.f
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -428,5 +427,5 @@ def _hashes(result: Calibration) -> set[str]:
     if result.robot.parts:
         for own in result.robot.own_urdfs().values():
             described = own.with_comments(run=result.run, verdict=verdict_against)
-            hashes.add(hashlib.sha256(described.data).hexdigest())
+            hashes.add(described.sha256)
     return hashes

@@ -15,6 +15,7 @@ from enum import Enum
 from itertools import count
 from pathlib import Path
 
+from calib.basics.files import read_bytes
 from calib.basics.tables import Table
 from calib.basics.units import split_header
 from calib.boards.board_file import read_board
@@ -37,7 +38,7 @@ _DEEPEST = 2
 #: More files than these are not looked at.
 _MOST = 300
 
-#: Beginnings of names of folders that no one keeps measurements in.
+#: Beginnings of names of files that are hidden, and of folders that no one keeps measurements in.
 _SKIPPED = (".", "_", "node_modules", "site-packages")
 
 #: Endings of files by what they may be; pictures and recordings are told by these alone.
@@ -164,7 +165,7 @@ def look_into(path: Path) -> Folder:
 
 
 def _files(folder: Path, depth: int = 0) -> Iterator[Path]:
-    """Yield the files of a folder and of those in it, in order; those whose names begin with a point are left out."""
+    """Yield the files of a folder and of those in it, in order, without what begins as a name of `_SKIPPED`."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(_SKIPPED):
             continue
@@ -197,7 +198,7 @@ def _entries(path: Path) -> Iterator[Entry]:
         elif suffix == ".toml":
             yield _toml(path)
         elif suffix in (".yaml", ".yml"):
-            yield from _yaml(path)
+            yield from _board_or_camera(path)
         elif suffix == ".json":
             yield from _json(path)
         elif suffix in _RECORDINGS:
@@ -214,7 +215,7 @@ def _entries(path: Path) -> Iterator[Entry]:
 
 def _is_robot(path: Path) -> bool:
     """Return True if an XML file begins as a robot does."""
-    head = path.read_bytes()[:4096]
+    head = read_bytes(path, "robot")[:4096]
     return b"<robot" in head or b"<mujoco" in head
 
 
@@ -250,17 +251,14 @@ def _toml(path: Path) -> Entry:
     try:
         return Entry(path, What.CELL, Cell.read(path))
     except CalibError as fault:
-        for read, what in ((read_board, What.BOARD), (read_camera, What.CAMERA)):
-            try:
-                read(path)
-            except CalibError:
-                continue
-            return Entry(path, what)
-        raise fault from None
+        described = next(_board_or_camera(path), None)
+        if described is None:
+            raise fault from None
+        return described
 
 
-def _yaml(path: Path) -> Iterator[Entry]:
-    """Yield the board or the camera that a YAML file describes; nothing if it describes neither."""
+def _board_or_camera(path: Path) -> Iterator[Entry]:
+    """Yield the board or the camera that a file describes; nothing if it describes neither."""
     for read, what in ((read_board, What.BOARD), (read_camera, What.CAMERA)):
         try:
             read(path)
@@ -273,7 +271,7 @@ def _yaml(path: Path) -> Iterator[Entry]:
 def _json(path: Path) -> Iterator[Entry]:
     """Yield the file of calib that JSON is; nothing for that of another program."""
     try:
-        value = json.loads(path.read_bytes())
+        value = json.loads(read_bytes(path, "file"))
     except ValueError:
         return
     schema = value.get("schema") if isinstance(value, dict) else None

@@ -106,6 +106,7 @@ def test_joints_of_several_publishers_wanted_and_left_out(tmp_path: Path):
         read(path, without=["fingr"])
     with pytest.raises(MeasurementError, match="'elbow' is not sent"):
         read(path, wanted=["a", "elbow"])
+    assert read(path, wanted=["a", "elbow"], without=["elbow"]).joints.names == ("a",)
 
 
 def test_poses_and_orientations_that_are_never_set(tmp_path: Path):

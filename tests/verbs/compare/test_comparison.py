@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -30,10 +29,8 @@ from calib.verbs.compare.comparison import Comparison, Outcome, compare
 from calib.verbs.compare.drift import LEVEL
 from calib.verbs.compare.text import notes
 from tests.parts import with_part
-from tests.places import ROOT
 from tests.two_handed import fitted
-
-DOC = ROOT / "docs" / "comparison.md"
+from tests.verbs.compare.documented import documented_keys, keys
 
 
 @dataclass(frozen=True)
@@ -263,24 +260,8 @@ def test_text_and_table(drifted: Comparison, unchanged: Comparison, tmp_path: Pa
         drifted.write_json(tmp_path / "c.json")
 
 
-def keys(value: Any, path: str = "") -> set[str]:
-    """Every key of nested tables, as the document writes it."""
-    if isinstance(value, dict):
-        return set().union(*(keys(v, f"{path}.{k}" if path else k) for k, v in value.items()))
-    if isinstance(value, list) and value and isinstance(value[0], dict):
-        return set().union(*(keys(entry, f"{path}[]") for entry in value))
-    return {path}
-
-
 def test_the_document_has_every_key(drifted: Comparison):
-    documented = set()
-    as_json = DOC.read_text(encoding="utf-8").partition("## As JSON")[2]
-    of_two = as_json.partition("That of several results:")[0]
-    for line in of_two.splitlines():
-        for cell in re.findall(r"^\| `([^`]+)` \|", line):
-            brace = re.search(r"\{(.*?)\}", cell)
-            parts = brace[1].split(",") if brace else [""]
-            documented |= {cell.replace(brace[0], part) if brace else cell for part in parts}
+    documented, _ = documented_keys()
     assert keys(plain(drifted.table())) == documented
 
 

@@ -43,7 +43,7 @@ def fleet_of(count: int, seed: int = 0, **more: int) -> list[FleetRow]:
     return [row(k, rng, **more) for k in range(count)]
 
 
-@pytest.mark.parametrize("count", [5, 12, 60])
+@pytest.mark.parametrize("count", [5, 12, pytest.param(60, marks=pytest.mark.slow)])
 def test_few_fleets_without_outliers_have_one(count):
     fleets = 120
     flagged = sum(bool(fleet_outliers(fleet_of(count, seed))[0]) for seed in range(fleets))
