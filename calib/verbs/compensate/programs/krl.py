@@ -229,6 +229,7 @@ class _Reader:
         self.defined: dict[str, _Place] = {}
         self.lines = parsed[0]
         self.routines = routines(self.lines)
+        self.jumps = any(line.words[0] == "GOTO" for lines in parsed for line in lines)
         self.by_name = {routine.name: routine for routine in self.routines if routine.name}
         for text, lines in zip(self.texts[1:], parsed[1:], strict=True):
             if text.path.suffix.lower() == ".src":
@@ -347,15 +348,42 @@ class _Reader:
 
     def _run_routine(self, routine: Routine, state: State, depth: int) -> State:
         """Run a routine in a state, and return the state after it."""
-        self.called.add(routine.name)
-
-        def run(statement: Statement, now: State, is_trial: bool) -> State:
-            """Run one statement."""
-            return self._run(statement, now or {}, depth, is_trial=is_trial)
-
-        end = walk(routine.body, state, run)
+        end = self._through(routine, state, depth, is_trial=False)
         self.seen = join([self.seen, end])
         return end
+
+    def _through(self, routine: Routine, state: State, depth: int, *, is_trial: bool) -> State:
+        """Go the ways through a routine from a state, and return the state behind it."""
+        self.called.add(routine.name)
+        labels: dict[str, State] = {}
+        exits: list[State] = []
+        before = [state]  # the state before a statement by the text, for what nothing reaches
+
+        def run(statement: Statement, now: State, inside_trial: bool) -> State:
+            """Run one statement."""
+            words = statement.words
+            if words[1:] == (":",):
+                now = join([now, labels.get(words[0])])
+                before[0] = before[0] if now is None else now
+                return now
+            here = (before[0] if now is None else now) or {}
+            if words[0] == "GOTO" and len(words) > 1:
+                labels[words[1]] = join([now, labels.get(words[1])])
+            elif words[0] == "RETURN":
+                exits.append(now)
+            else:
+                after = self._run(statement, here, depth, is_trial=is_trial or inside_trial)
+                before[0] = here if after is None else after
+                return None if now is None else after
+            before[0] = here
+            return None
+
+        known = None
+        while self.jumps and known != labels:  # a label further up is reached from further down
+            known = dict(labels)
+            walk(routine.body, state, run, is_trial=True)
+        end = walk(routine.body, state, run, is_trial=is_trial)
+        return join([*exits, end])
 
     def _run(self, statement: Statement, state: _State, depth: int, *, is_trial: bool) -> State:
         """Run one statement in a state, and return the state after it."""
@@ -580,13 +608,7 @@ class _Reader:
             values = self._values(given, state)
             inner[parameter] = frozenset(None if isinstance(v, str) else v for v in values)
 
-        def run(inside: Statement, now: State, inside_trial: bool) -> State:
-            """Run one statement of the routine."""
-            trial = is_trial or inside_trial
-            return self._run(inside, now or {}, depth + 1, is_trial=trial)
-
-        self.called.add(name)
-        return walk(routine.body, inner, run)
+        return self._through(routine, inner, depth + 1, is_trial=is_trial)
 
     # Motions
 

@@ -131,6 +131,9 @@ def statements(text: ProgramText, file: int) -> Iterator[Statement]:
             tokens, first, depth = [], line, 0
         elif kind != "comment":
             word = match[0]
+            if len(tokens) == 2 and tokens[0].kind == "word" and tokens[1].text == ":":
+                yield Statement(file, first, tuple(tokens))  # a label, with a statement behind it
+                tokens = []
             if not tokens:
                 first = line
             tokens.append(

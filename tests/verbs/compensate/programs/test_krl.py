@@ -246,3 +246,27 @@ def test_an_interrupt_has_the_tool_of_the_program(arm, tmp_path):
     (tmp_path / "p.src").write_text(text)
     move = read(tmp_path / "p.src", stated(arm)).moves[-1]
     np.testing.assert_allclose(move.T_tip_tool, TOOL, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("GOTO ON\n$TOOL={B}\nON:\nLIN {P}\n", {9: {1}}),
+        ("BACK:\nLIN {P}\n$TOOL={B}\nGOTO BACK\n", {7: {1, 2}}),
+        ("GOTO ON\n$TOOL={B}\nLIN {P}\nON: LIN {P}\n", {8: {2}, 9: {1}}),
+        ("IF X THEN\n$TOOL={B}\nRETURN\nENDIF\nLIN {P}\n", {10: {1}}),
+        ("SUB()\nLIN {P}\nEND\nDEF SUB()\nIF X THEN\n$TOOL={B}\nRETURN\nENDIF\n", {7: {1, 2}}),
+    ],
+)
+def test_jumps_pass_over_settings(arm, tmp_path, text, expected):
+    tool = "{{X 0,Y 0,Z {},A 0,B 0,C 0}}".format
+    start = f"DEF PROG()\n$TOOL={tool(100)}\n$BASE=$WORLD\nINT X\nPTP {{A1 0,A2 -90,A3 90,A4 0,A5 20,A6 0}}\n"
+    body = text.replace("{B}", tool(200)).replace("{P}", "{X 1200,Y 0,Z 900,A 0,B 90,C 0}")
+    path = tmp_path / "prog.src"
+    path.write_text(start + body + "END\n")
+    program = read(path, stated(arm))
+    tools: dict[int, set[int]] = {}
+    for move in program.moves[1:]:
+        tools.setdefault(move.line, set()).add(round(10 * move.T_tip_tool[2, 3]))
+    assert tools == expected
+    assert program.left == ()
