@@ -30,8 +30,8 @@ NUMBER = re.compile(r"-?\d+(?:\.(\d+))?")
 SHARE = 0.02
 
 
-def test_there_are_ten_numbered_from_one():
-    assert [int(name[:2]) for name in PROGRAMS] == list(range(1, 11))
+def test_they_are_numbered_from_one():
+    assert [int(name[:2]) for name in PROGRAMS] == list(range(1, 12))
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

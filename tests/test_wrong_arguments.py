@@ -22,6 +22,10 @@ from calib.errors import (
 
 #: Calls, the class of their error, and what its message must name. The names are those of the fixture `given`.
 ROWS = [
+    ("calib.history(3)", ArgumentError, "'folder'"),
+    ('calib.history(".", by_folder=3)', ArgumentError, "'by_folder'"),
+    ("calib.trend(3)", ArgumentError, "'results'"),
+    ("calib.trend([1, 2])", ArgumentError, "'results"),
     ("calib.Robot.load(3)", ArgumentError, "'source'"),
     ("calib.Robot.load(None)", ArgumentError, "'source'"),
     ('calib.Robot.load("ur3", base=3)', ArgumentError, "'base'"),

@@ -73,7 +73,7 @@ class Calibration(Value):
 
     At hand without their part: ``verdict``, ``errors``, ``cross_validation``, ``new_point``, ``parameters``,
     ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``; ``is_setup_only`` if these were all that was
-    sought. ``run`` is the id that all files of the result carry.
+    sought. ``run`` is the id that all files of the result carry, ``figures`` are the names of those that `plot` draws.
     """
 
     #: The robot as given

@@ -13,6 +13,7 @@ measured, fresh = frame.head(30), frame.tail(5).drop(columns="set")
 result = calib.calibrate(
     paper_urdf(), measured, base="base", tip="tool0", target="-70 70 22.5 mm", model="dh"
 )
+assert result.verdict is not None
 print(f"verdict: {result.verdict.use}")
 
 rows = result.to_frame()

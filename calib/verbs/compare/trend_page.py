@@ -20,6 +20,7 @@ from calib.show.look import CALIBRATED, INK, OUTLIER, SOFT
 from calib.show.plotting import legend_above, new_figure
 from calib.show.tables import Column, Row, Table, name_column
 from calib.show.words import chain_name
+from calib.verbs.compare.difference import unknown_frame
 from calib.verbs.compare.text import kept_sentence
 from calib.verbs.compare.trend import JointHistory, RobotTrend
 
@@ -231,6 +232,13 @@ def _notes(t: RobotTrend) -> Iterator[str]:
             f"A change of the zero of {choices(unseen)} looks like one of the places of base or target, which were "
             "estimated: it cannot be seen."
         )
+    if t.changed:
+        yield (
+            "A changed length, or a changed angle between two axes, looks like one of the zeros here: calib compare of "
+            "two results tells them apart."
+        )
+    if not any(unknown_frame(result) for result in t.results):
+        yield "All take the measurement frame as known: its error looks like a drift of the first joints."
     serials = dict.fromkeys(filter(None, (result.record.robot_serial for result in t.results)))
     if len(serials) > 1:
         yield f"The records name several robots, of the serial numbers {choices(serials)}."

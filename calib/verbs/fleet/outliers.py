@@ -162,7 +162,7 @@ def limit(others: int, figures: int, chance: float = CHANCE) -> float:
 
     Example:
         >>> [round(limit(n - 1, 30), 1) for n in (5, 20, 200)]
-        [18.6, 5.6, 4.6]
+        [18.7, 5.0, 4.6]
     """
     probability = 1.0 - chance / (2.0 * (others + 1) * figures)
     return float(stdtrit(others - 1, probability))

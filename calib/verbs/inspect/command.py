@@ -57,7 +57,7 @@ def inspect(
 ) -> None:
     """Load the robot, and the table if there is one, and print what can be identified; or look into a folder."""
     if Path(robot).is_dir():
-        if data is not None or cell_options.file or cell_options.given:
+        if data is not None or cell_options.file or cell_options.given or table_options.columns:
             raise CalibError(
                 f"'{robot}' is a folder, which is looked into without a table or options: calib inspect {robot}"
             )

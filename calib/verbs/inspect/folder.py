@@ -62,6 +62,7 @@ class What(Enum):
     CELL = "cell"
     BOARD = "board"
     CAMERA = "camera"
+    FACTORY = "factory"
     RESULT = "result"
     OUTPUT = "output"  # another file of calib's own
     PICTURES = "pictures"
@@ -147,6 +148,8 @@ def look_into(path: Path) -> Folder:
     # A corrected URDF takes the same tables as the one that it was made from.
     nominal = [robot for robot in robots if not _run(robot)] or robots
     for table in tables:
+        if names_images(table):
+            continue  # of pictures, which are to be searched first
         why = ""
         for robot in nominal:
             fit = _fit(robot, table, cells, points)
@@ -199,6 +202,8 @@ def _entries(path: Path) -> Iterator[Entry]:
             yield from _json(path)
         elif suffix in _RECORDINGS:
             yield Entry(path, What.RECORDING)
+        elif suffix == ".conf" and b"delta_theta" in path.read_bytes():
+            yield Entry(path, What.FACTORY)
         elif suffix in DIALECTS:
             yield Entry(path, What.PROGRAM)
         elif suffix in _PAGES:
@@ -382,7 +387,7 @@ def _commands(folder: Folder) -> Iterator[str]:
         yield _command("fleet", entry.path, "--out", _free(folder, "results"))
     if not open_fits:
         for pictures in of_kind[What.PICTURES]:
-            joints = [e for e in folder.entries if e.what is What.TABLE and _names_images(e)]
+            joints = [e for e in folder.entries if e.what is What.TABLE and names_images(e)]
             boards = [part for board in of_kind[What.BOARD] for part in ("--board", board.path)]
             if joints and boards:
                 yield _command(
@@ -425,10 +430,11 @@ def _points(fit: Fit) -> tuple[str | Path, ...]:
     return () if fit.points is None else ("--points", fit.points.path)
 
 
-def _names_images(entry: Entry) -> bool:
-    """Return True if a table names a picture in each row."""
+def names_images(entry: Entry) -> bool:
+    """Return True if a table names a picture in each row, and measures nothing."""
     assert isinstance(entry.content, Table)
-    return "image" in {split_header(label)[0] for label in entry.content.header}
+    names = {split_header(label)[0] for label in entry.content.header}
+    return "image" in names and names.isdisjoint({*POINT, "u", "v"})
 
 
 def _free(folder: Folder, name: str) -> Path:

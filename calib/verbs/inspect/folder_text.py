@@ -7,12 +7,13 @@ from calib.data.cell import Cell
 from calib.result.calibration import Calibration
 from calib.robot.urdf import Urdf
 from calib.show.lines import listed, plural
-from calib.verbs.inspect.folder import Entry, Folder, What
+from calib.verbs.inspect.folder import Entry, Folder, What, names_images
 
 #: What entries are that need no more words.
 _PLAIN = {
     What.BOARD: "description of a printed board",
     What.CAMERA: "camera",
+    What.FACTORY: "factory calibration of a Universal Robots arm: calib convert FILE --arm NAME -o robot.urdf",
     What.RECORDING: "recording (bag)",
     What.PROGRAM: "robot program",
     What.PAGE: "page to open and print",
@@ -100,6 +101,8 @@ def _robot_words(folder: Folder, entry: Entry, urdf: Urdf) -> str:
 
 def _table_words(folder: Folder, entry: Entry) -> str:
     """Say how many rows a table has, and which robot and list of points they fit."""
+    if names_images(entry):
+        return f"joint values of {plural(entry.count, 'picture')}"
     words = f"table of {plural(entry.count, 'row')}"
     fits = [fit for fit in folder.fits if fit.table is entry]
     if fits:

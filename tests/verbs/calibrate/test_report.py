@@ -136,7 +136,7 @@ def test_a_page_is_written_and_not_written_over(paper_calibration, tmp_path):
     with pytest.raises(FileError, match="exists already"):
         write_report(paper_calibration, path)
     with pytest.raises(FileError, match=r"let the name end in \.html"):
-        write_report(paper_calibration, tmp_path / "report.pdf")
+        write_report(paper_calibration, tmp_path / "report.txt")
     write_report(paper_calibration, path, overwrite=True)
 
 

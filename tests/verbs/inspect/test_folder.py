@@ -19,6 +19,7 @@ from tests.cli_fixtures import fill
 
 #: Files of a folder as a user has it, and what they are; those that are not there are nothing to calib.
 BEGINNING = {
+    "calibration.conf": What.FACTORY,
     "cell.toml": What.CELL,
     "data.csv": What.TABLE,
     "joints.csv": What.TABLE,
@@ -108,6 +109,36 @@ def test_recordings_programs_and_several_results_have_their_commands(tmp_path: P
     verbs = [shlex.split(command)[1] for command in look_into(folder).commands]
     assert {"compensate", "history"} <= set(verbs)
     assert verbs[-1] == "history"
+
+
+def test_joint_values_of_pictures_and_factory_files(call, tmp_path: Path):
+    folder = fill(tmp_path)
+    for name in (
+        "data.csv",
+        "joints.csv",
+        "tracker.txt",
+        "manifest.csv",
+        "sweeps.csv",
+        "cell.toml",
+    ):
+        (folder / name).unlink()
+    robot = calib.Robot.load(folder / "robot.urdf", "base", "tool0")
+    header = ",".join(f"{name} [deg]" for name in robot.joint_names)
+    (folder / "joints.csv").write_text(f"image,{header}\n1.png,1,2,3,4,5,6\n")
+    (folder / "corners.csv").write_text(f"image,u [px],v [px],{header}\n1.png,1,2,1,2,3,4,5,6\n")
+    Image.fromarray(np.zeros((4, 4), dtype=np.uint8)).save(folder / "1.png")
+    (folder / "board.toml").write_text(
+        'pattern = "chessboard"\ncolumns = 9\nrows = 7\nsquare_mm = 25.0\n'
+    )
+    (folder / "calibration.conf").write_text("[mounting]\ndelta_theta = [0, 0, 0, 0, 0, 0]\n")
+    inside = look_into(folder)
+    assert [entry.path.name for entry, _ in inside.misfits] == ["corners.csv"]
+    detect = [shlex.split(line) for line in inside.commands if " detect " in line]
+    assert [Path(words[words.index("--joints") + 1]).name for words in detect] == ["joints.csv"]
+    assert found(folder)["calibration.conf"] is What.FACTORY
+    done = call(tmp_path, "inspect", str(folder), "--columns", "kuka")
+    assert done.code == 1
+    assert "calib inspect" in done.err
 
 
 def run_all(call, folder: Path) -> list[str]:

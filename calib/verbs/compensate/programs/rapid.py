@@ -1043,8 +1043,8 @@ def _configuration(data: Array, posture: ArmPosture | None) -> Configuration:
         of_bits = int(data[3])
         agreeing = [(angles[:, 4] < 0.0) == bool(of_bits & 1)]
         if posture is not None:
-            agreeing.append(posture.is_elbow_up(q, up=not of_bits & 2))
-            agreeing.append(posture.is_front(q, front=not of_bits & 4))
+            agreeing.append(posture.agrees(q, up=not of_bits & 2))
+            agreeing.append(posture.agrees(q, front=not of_bits & 4))
         for agrees in agreeing:
             if (is_allowed & agrees).any():
                 is_allowed = is_allowed & agrees

@@ -128,9 +128,9 @@ def _corrected_lines(corrected: CorrectedProgram) -> Iterator[str]:
     program = corrected.program
     moved = np.flatnonzero(corrected.is_corrected).tolist()
     changed = sorted({program.moves[i].target for i in moved if corrected.corrections[i].any()})
-    yield (
-        f"Corrected: {plural(len(changed), 'target')}, of {plural(len(moved), 'motion')} of {len(program.moves)}"
-    )
+    kept = len(program.moves) - len(moved) + len(corrected.left)
+    rest = f"; {plural(kept, 'motion')} or other lines stay, see below" if kept else ""
+    yield f"Corrected: {plural(len(changed), 'target')} of {plural(len(moved), 'motion')}{rest}"
     for file, text in enumerate(program.texts):
         lines = {program.targets[t].line for t in changed if program.targets[t].file == file}
         if lines:

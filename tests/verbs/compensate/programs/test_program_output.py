@@ -52,7 +52,7 @@ def test_a_program_and_its_data_list_are_written(call, folder: Path):
     done = call(folder, *ARGUMENTS, *FRAME, "-o", "out/new.src")
     assert (done.code, done.err) == (0, "")
     said = " ".join(done.out.split())
-    assert "Corrected: 2 targets, of 2 motions of 2" in said
+    assert "Corrected: 2 targets of 2 motions" in said
     assert "line.src: lines 4" in said
     assert "line 6 of line.src: LIN_REL" in said
     assert "Written: out/new.src" in said

@@ -37,7 +37,7 @@ def test_lines_that_were_corrected_and_those_that_are_left():
     items = tuple(Left(0, 10 + k, "relative", "LIN_REL") for k in range(12))
     text = program_text(result("".join(lines), items), "true.urdf", [Path("new.txt")])
     said = " ".join(text.split())
-    assert "Corrected: 4 targets, of 4 motions of 4" in said
+    assert "Corrected: 4 targets of 4 motions" in said
     assert "p.txt: lines 1 to 4" in said
     assert "line 10 of p.txt: LIN_REL" in said
     assert "and 4 more: lines 18 to 21" in said
