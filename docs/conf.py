@@ -107,6 +107,8 @@ _RESULTS = {"Calibration", "Commands", "Comparison", "Evaluation", "Plan", "Robo
 _FOREIGN = (
     "collections.",
     "concurrent.",
+    "datetime.",
+    "Figure",
     "matplotlib.",
     "meshcat.",
     "numpy.",
