@@ -1,6 +1,7 @@
 """Summary of a calibration in a terminal, its report to print and sign, and its excerpt in notebooks.
 
-`report` is the one list of their sections; `calib.verbs.calibrate.tables` and `calib.verbs.calibrate.text` make what stands in them.
+`report` is the one list of their sections; `calib.verbs.calibrate.tables` and `calib.verbs.calibrate.text` make what
+stands in them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """An evaluation as text in a terminal, as a report to print and sign, and as an excerpt in notebooks.
 
-`report` is the one list of their sections; `calib.verbs.evaluate.tables` and `calib.verbs.evaluate.text` make what stands in them.
+`report` is the one list of their sections; `calib.verbs.evaluate.tables` and `calib.verbs.evaluate.text` make what
+stands in them.
 """
 
 from __future__ import annotations
