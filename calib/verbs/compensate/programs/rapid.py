@@ -58,6 +58,7 @@ from calib.verbs.compensate.programs.rapid_syntax import (
     Text,
     Token,
     Value,
+    moves_after_modules,
     read_modules,
     split,
     statements,
@@ -339,6 +340,11 @@ class _Program:
         if self._missing_tools or self._missing_frames:
             raise self._not_defined()
         self._add_unused()
+        for file, item in enumerate(self._texts):
+            for token in moves_after_modules(item.text):
+                self._left[Left(file, item.line_at(token.start), "unread", "after ENDMODULE")] = (
+                    None
+                )
         return ProgramFile(
             self._texts, tuple(self._target_list), tuple(self._moves), tuple(self._left)
         )

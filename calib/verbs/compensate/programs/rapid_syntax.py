@@ -55,6 +55,10 @@ class Token(NamedTuple):
     end: int
 
 
+#: Instructions that move the robot to a target, whatever the process.
+_MOTIONS = frozenset({"movel", "movej", "movec", "moveabsj"})
+
+
 @dataclass(frozen=True, slots=True)
 class Aggregate:
     """Values in brackets: of a record or an array."""
@@ -226,6 +230,18 @@ def read_modules(text: str, file: int) -> list[Module]:
     )
     tokens = tokens_of(without_mark)
     return list(_Parser(tokens, file).modules())
+
+
+def moves_after_modules(text: str) -> list[Token]:
+    """Return the words that begin a motion, such as ``movel``, after the last module of a text: they are in none.
+
+    Args:
+        text: The text of the file.
+    """
+    tokens = tokens_of(text)
+    ends = [i for i, token in enumerate(tokens) if token[:2] == ("name", "endmodule")]
+    after = tokens[ends[-1] + 1 :] if ends else []
+    return [token for token in after if token.kind == "name" and token.word in _MOTIONS]
 
 
 def split(tokens: Sequence[Token], mark: str) -> list[Sequence[Token]]:

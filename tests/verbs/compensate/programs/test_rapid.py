@@ -217,6 +217,17 @@ def test_backup_of_a_task(tmp_path: Path) -> None:
     assert program.moves[0].T_tip_tool[2, 3] == 0.1
 
 
+def test_motions_after_the_end_of_the_module_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "pasted.mod"
+    path.write_text(
+        "MODULE a\n PROC main()\n  MoveAbsJ [[0,0,0,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v50,fine,tool0;\n ENDPROC\n"
+        "ENDMODULE\n! MoveL comment\nMoveL p1,v50,fine,tool0;\n  MoveJ p2,v50,fine,tool0;\n"
+    )
+    program = read(path, Stated(NAMES))
+    assert motions(program) == [(3, "joint", "")]
+    assert left(program) == [(7, "unread"), (8, "unread")]
+
+
 def test_letters_and_text_that_is_not_well_formed() -> None:
     program = read(DATA / "letters.modx", Stated(NAMES))
     assert motions(program) == [
