@@ -28,7 +28,7 @@ _Limits = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, slots=True)
 class Maker:
-    """What the descriptions of one maker's arms have in common."""
+    """A maker, and what the descriptions of its arms have in common."""
 
     #: Its name.
     name: str

@@ -117,7 +117,7 @@ def read_files(path: Path, changed: Mapping[Path, bytes] | None = None) -> MjcfF
 
 
 class _Reader:
-    """What has been read of a model so far."""
+    """Reading of a model: the files and elements so far."""
 
     def __init__(self, folder: Path, changed: Mapping[Path, bytes]) -> None:
         self.folder = folder

@@ -39,7 +39,7 @@ _SHORTEST = 0.1
 
 @dataclass(frozen=True, slots=True)
 class MjcfOrigin(Value):
-    """What a URDF states about the MJCF that it was made from."""
+    """The MJCF that a URDF was made from, as the URDF states it."""
 
     #: Name of the main file.
     file: str

@@ -35,7 +35,7 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True, slots=True)
 class WrittenMjcf:
-    """What was written of a corrected MJCF."""
+    """A corrected MJCF: its files and what changed in them."""
 
     #: The files, the main one first.
     paths: tuple[Path, ...]

@@ -57,7 +57,7 @@ _KEYS = ("drive_mode", "range_min", "range_max")
 
 
 class MotorRange(NamedTuple):
-    """What LeRobot's calibration file says of a motor."""
+    """A motor in LeRobot's calibration file."""
 
     #: First and last tick of its range.
     first: int
@@ -68,7 +68,7 @@ class MotorRange(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Motors:
-    """What the numbers of servos mean."""
+    """The meaning of the numbers of servos: range, zero and sense of each motor."""
 
     #: Number of ticks in a turn.
     ticks: int = _TICKS

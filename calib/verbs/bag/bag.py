@@ -40,7 +40,7 @@ from calib.verbs.bag.table import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagTable(Value):
-    """What a bag says of an arm and its target, as rows of a table of measurements."""
+    """Rows of a table of measurements, made of a bag."""
 
     #: Joint values and points over time.
     recording: Recording
@@ -66,7 +66,7 @@ class BagTable(Value):
 
     @property
     def stopped(self) -> bool:
-        """Whether the rows are of stops, not of a moving arm."""
+        """True if the rows are of stops, not of a moving arm."""
         return len(self.spans) > 0
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:

@@ -87,7 +87,7 @@ _STEP = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Lag(Value):
-    """How much later points are stamped than joint values."""
+    """The time by which points are stamped later than joint values."""
 
     #: [s]; positive: points come later.
     value: float

@@ -41,7 +41,7 @@ _PLAUSIBLE_SCATTER = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Clock(Value):
-    """What the times of a topic are by."""
+    """The clock of a topic's times."""
 
     #: ``header``: its stamps; ``received``: the recorder's times.
     by: str
@@ -84,7 +84,7 @@ class PointTopic(Value):
 
 @dataclass(frozen=True, slots=True)
 class Recording(Value):
-    """What was read from a bag."""
+    """Joint values and points of a bag, on one clock."""
 
     joints: JointStream
     points: tuple[PointStream, ...]

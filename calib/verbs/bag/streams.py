@@ -81,7 +81,7 @@ class PointStream(Value):
 
     @property
     def has_poses(self) -> bool:
-        """Whether orientations were measured."""
+        """True if orientations were measured."""
         return bool(np.isfinite(self.quaternions).all())
 
 

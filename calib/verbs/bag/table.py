@@ -36,7 +36,7 @@ _MM = 1e3
 
 @dataclass(frozen=True, slots=True)
 class Settings(Value):
-    """What a person states about stops."""
+    """Settings of the search for stops."""
 
     #: The arm settles for so long after it has stopped [s].
     settle: float = 0.5

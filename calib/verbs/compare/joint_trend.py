@@ -36,7 +36,7 @@ _FEWEST = 3
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """What one figure does over time."""
+    """The course of one figure over time: steady, a drift, or a step."""
 
     #: What it does
     shape: Shape

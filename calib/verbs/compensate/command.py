@@ -200,7 +200,7 @@ def parse_pulses(texts: Sequence[str], joint_names: Sequence[str]) -> tuple[floa
 
 @dataclass(frozen=True, slots=True)
 class ProgramOptions:
-    """What a program in a maker's language does not say itself."""
+    """Options for what a program in a maker's language leaves open."""
 
     frame: Annotated[
         list[str] | None,

@@ -32,7 +32,7 @@ _NOT_CALIBRATED = ("nominal",)
 
 
 class DateFrom(Enum):
-    """Where the date of a file is from."""
+    """Source of a file's date."""
 
     #: The record of the measurement
     MEASURED = auto()
@@ -43,7 +43,7 @@ class DateFrom(Enum):
 
 
 class What(Enum):
-    """What a note of a history is about."""
+    """Subject of a note of a history."""
 
     #: A file cannot be read, is damaged, or was changed; with the message
     DAMAGED = auto()

@@ -63,7 +63,7 @@ class Entry:
 
     @property
     def is_valid(self) -> bool:
-        """Whether it is the calibration that is valid now."""
+        """True if it is the calibration that is valid now."""
         return self.end == ""
 
 

@@ -53,7 +53,7 @@ _SWEEP = "sweep"
 
 
 class What(Enum):
-    """What an entry of a folder is."""
+    """Kind of an entry of a folder."""
 
     ROBOT = "robot"
     TABLE = "table"
@@ -107,7 +107,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Folder:
-    """What a folder holds."""
+    """Content of a folder."""
 
     #: The folder, as it was given
     path: Path

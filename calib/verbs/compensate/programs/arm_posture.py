@@ -29,7 +29,7 @@ _CLOSE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmPosture(Value):
-    """How the postures of an arm are told from its joint values."""
+    """An arm whose postures follow from its joint values."""
 
     robot: Robot
     #: Distance of the wrist in front of axis 1 [m] and area at the elbow [m^2] with all joints at zero; 0: no sign.

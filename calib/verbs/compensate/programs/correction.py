@@ -98,7 +98,7 @@ class CorrectedProgram(Value):
 
     @property
     def is_corrected(self) -> Mask:
-        """Which of the N motions go to a target that is as the true robot needs it, shape (N,)."""
+        """Mask of the N motions whose target is as the true robot needs it, shape (N,)."""
         return np.isfinite(self.corrections[:, 0])
 
 
@@ -230,7 +230,7 @@ def corrected(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Result:
-    """What a target becomes, as one of its motions needs it, as all need it, and as it is written."""
+    """A corrected target: as one of its motions needs it, as all need it, and as it is written."""
 
     #: Each a pose in the target's frame, shape (4, 4) [m], or joint values, shape (m,), [rad] or [m].
     needed: Array

@@ -208,7 +208,7 @@ def _find_files(path: Path) -> Iterator[Path]:
 
 
 class _Reader:
-    """What is known of a program while it is read; it lasts for one program."""
+    """State of the reading of one program."""
 
     def __init__(self, path: Path, stated: Stated) -> None:
         """Read all files, and find what they define."""

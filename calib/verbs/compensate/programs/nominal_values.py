@@ -185,7 +185,7 @@ class _Search:
 
     @property
     def is_redundant(self) -> bool:
-        """Whether the arm reaches poses in a continuum of ways."""
+        """True if the arm reaches a pose in a continuum of ways."""
         return len(self.robot.joint_names) > 6
 
     def found(self) -> NominalValues:

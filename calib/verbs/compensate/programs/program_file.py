@@ -164,7 +164,7 @@ class ProgramFile(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stated(Value):
-    """What options say of a program, because its files do not."""
+    """Tools, frames and files that options state, because the program does not."""
 
     #: Names of the joints, in the order of the controller's axes.
     joint_names: tuple[str, ...]

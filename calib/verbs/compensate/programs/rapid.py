@@ -201,7 +201,7 @@ _CONVEYOR = re.compile(r"cnv|conv|indcnv", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scope:
-    """Where names are looked up: a routine of a module, with the arguments that it was called with."""
+    """Scope of names: a routine of a module, with the arguments that it was called with."""
 
     module: Module
     routine: Routine | None = None
@@ -210,7 +210,7 @@ class _Scope:
 
     @property
     def key(self) -> Hashable:
-        """What tells scopes apart."""
+        """Key by which scopes differ."""
         given = tuple(sorted((name, item.key) for name, item in self.arguments.items()))
         return self.module.file, id(self.module), id(self.routine), given
 
@@ -224,7 +224,7 @@ class _Argument:
 
     @property
     def key(self) -> Hashable:
-        """What tells arguments apart."""
+        """Key by which arguments differ."""
         return self.scope.module.file, self.value.start
 
 
@@ -835,7 +835,7 @@ class _Program:
 
     @property
     def _has_axis_7(self) -> bool:
-        """Whether the third joint of the chain is axis 7, by its name."""
+        """Return True if the third joint of the chain is axis 7, by its name."""
         return "7" in self._joint_names[_AXIS_7]
 
     def _robot_target(self, found: _Found, *, with_configuration: bool) -> Target | LeftCode:

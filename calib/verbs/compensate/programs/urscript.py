@@ -143,7 +143,7 @@ _INSTALLED = "TCP"
 
 
 class _Value(NamedTuple):
-    """What an expression may stand for: numbers in the text, a name that is not defined here, or neither."""
+    """Value of an expression: numbers in the text, a name that is not defined here, or neither."""
 
     #: Why there are no numbers; empty if there are; `_UNKNOWN` for a name without a value.
     code: str
@@ -256,7 +256,7 @@ class _Program:
 
     @property
     def is_urscript(self) -> bool:
-        """Whether it has functions, or motions."""
+        """True if the text has functions or motions."""
         return len(self._functions) > 1 or any(
             call.name in _MOTIONS or call.name in _OTHER_MOTIONS
             for item in statements(self._top.body)
