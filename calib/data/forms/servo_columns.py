@@ -68,7 +68,7 @@ class MotorRange(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Motors:
-    """The meaning of the numbers of servos: range, zero and sense of each motor."""
+    """The meaning of the numbers of servos: ticks in a turn, the zero, and the ranges of the motors."""
 
     #: Number of ticks in a turn.
     ticks: int = _TICKS
