@@ -360,6 +360,8 @@ def calibrate(
     message = refusal("this calibration", stated)
     if outputs.output.exists():
         message += f" '{outputs.output}' is an earlier one."
+    if written and not outputs.force:
+        message += " The other files were written: another attempt needs --force."
     raise VerdictError(message)
 
 
