@@ -56,6 +56,7 @@ _MISSING = frozenset(
         "n/a",
         "n.a.",
         "#n/a",
+        *("#ref!", "#value!", "#div/0!", "#name?", "#num!", "#null!"),
         "<na>",
         "null",
         "none",

@@ -361,11 +361,11 @@ def _check_kinds(table: Table, layout: Layout, kinds: Words) -> None:
 def _fail_on_number(table: Table, layout: Layout, row: int, column: Column) -> NoReturn:
     """Raise `MeasurementError` on a cell, of a row from 0, that should hold a finite number, with what it holds."""
     text = table.cells[row][column.index][:_QUOTED]
-    if is_blank(text):
+    if text.startswith("#"):
+        what = f"'{text}' is an error of a formula. Mend the formula, or remove the row."
+    elif is_blank(text):
         written = f"holds no number ('{text}')" if text else "is empty"
         what = f"the cell {written}. Fill in the number, or remove the row."
-    elif text.startswith("#"):
-        what = f"'{text}' is an error of a formula. Mend the formula, or empty the cell."
     elif text.startswith("date ") or _DATE.fullmatch(text):
         date = text.removeprefix("date ")
         what = (

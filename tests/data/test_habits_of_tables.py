@@ -170,7 +170,23 @@ def test_titles_and_units_in_a_sheet(tmp_path: Path, clean):
 
 
 @pytest.mark.parametrize(
-    "word", ["NaN", "nan", "NAN", "n/a", "N/A", "NA", "#N/A", "-", "--", "null", "None", ""]
+    "word",
+    [
+        "NaN",
+        "nan",
+        "NAN",
+        "n/a",
+        "N/A",
+        "NA",
+        "#N/A",
+        "#REF!",
+        "#DIV/0!",
+        "-",
+        "--",
+        "null",
+        "None",
+        "",
+    ],
 )
 def test_a_row_without_a_measurement(tmp_path: Path, clean, word: str):
     path = tmp_path / "data.csv"
@@ -185,6 +201,9 @@ def test_a_row_that_begins_with_a_word_of_excel_is_no_comment(tmp_path: Path):
     table = [[row[i] for i in order] for row in (HEADER, *ROWS)]
     table.append(["#N/A", "1", "2", "#N/A", "#N/A"])
     path = tmp_path / "data.csv"
+    path.write_text("\n".join(map(",".join, table)), "utf-8")
+    assert Measurements.read(path).unmeasured == (4,)
+    table[-1] = ["#REF!", "1", "2", "#REF!", "#REF!"]
     path.write_text("\n".join(map(",".join, table)), "utf-8")
     assert Measurements.read(path).unmeasured == (4,)
     path.write_text("\n".join(map(",".join, [*table[:-1], ["#REF!", "1", "2", "3", "4"]])), "utf-8")
