@@ -38,7 +38,7 @@ def test_report_and_figures_are_written_and_named(examples):
         ),
         (
             ("--report", "r.html", "--json", "r.html"),
-            "r.html is also another output of this command.",
+            "r.html is also another output of this command",
         ),
         (("--figure-format", "svg"), "--figure-format takes --figures FOLDER"),
         (

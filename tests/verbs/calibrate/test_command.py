@@ -259,9 +259,9 @@ def test_every_way_that_an_output_is_refused_before_the_work(call, shop):
     before = {path: path.read_bytes() for path in shop.iterdir()}
     (shop / "folder").mkdir()
     calls = {
-        ("-o", "robot.urdf", "--force"): "robot.urdf is also an input of this command.",
-        ("--json", "folder/../data.csv", "--force"): "data.csv is also an input of this command.",
-        ("-o", "a", "--view", "a"): "a is also another output of this command.",
+        ("-o", "robot.urdf", "--force"): "robot.urdf is also an input of this command",
+        ("--json", "folder/../data.csv", "--force"): "data.csv is also an input of this command",
+        ("-o", "a", "--view", "a"): "a is also another output of this command",
         ("-o", "cell.toml"): "exists already; overwrite it (--force, in Python overwrite=True) or choose another name",
         ("-o", "folder", "--force"): "is a folder; name a file inside it",
         ("-o", "none/c.urdf"): "does not exist; create it",
