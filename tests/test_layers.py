@@ -29,6 +29,7 @@ CORE = (
     "fit",
     "diagnosis",
     "result",
+    "uncertainty",
     "show",
     "cli",
 )

@@ -606,6 +606,43 @@ class Calibration(Value):
         in_base = group is None and part.base_motion is not None
         return part.pose_std(samples, in_base=in_base)[:, 0]
 
+    def uncertainty(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        non_geometric: bool = True,
+        moves: ArrayLike | None = None,
+    ) -> Any:  # noqa: ANN401  made in a module above
+        """Return the expanded uncertainty of predicted poses, with what the model lacks, and its sources.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            target: Name of the target; None: the first.
+            group: Name of the station whose frame is meant; None: the first, or the base if no row determines where it
+                stands.
+            non_geometric: Whether the non-geometric model predicts, if there is one; else the geometry.
+            moves: shape (N, m), last move of each joint before each row, [rad] or [m], 0 where it is not known; None:
+                the robot goes from each row of ``q`` to the next. It counts for a model with lost motion only.
+
+        Returns:
+            A `calib.uncertainty.at_poses.PoseUncertainty`: ``position`` [m] and ``orientation`` [rad], shape (N,),
+            that the errors stay below with 95.45 %, as k = 2 has it; and ``contributions`` of each source.
+
+        Raises:
+            ArgumentError: ``q`` is not made of numbers.
+            ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
+        """
+        part = self.part(non_geometric=non_geometric)
+        samples = self.samples(q, target=target, group=group, moves=moves)
+        return shown_by("uncertainty.at_poses").uncertainty_at(
+            self,
+            samples,
+            non_geometric=non_geometric,
+            in_base=group is None and part.base_motion is not None,
+        )
+
     def tip_poses(
         self, q: ArrayLike, *, payload: Payload | None = None, moves: ArrayLike | None = None
     ) -> Array:

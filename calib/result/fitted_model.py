@@ -268,6 +268,26 @@ class FittedModel(Value):
         by_scale = self.by_scale
         return float(np.hypot(near, by_scale[0])), float(np.hypot(elsewhere, by_scale[1]))
 
+    def twists(self, samples: Samples, *, in_base: bool = False) -> tuple[Array, Array]:
+        """Return predicted poses of the target, and their derivatives by the parameters.
+
+        Args:
+            samples: N joint values, with the frame, the target and the loads of each.
+            in_base: True to predict in the base, without ``base_motion`` if there is one; False to predict in each
+                sample's own measurement frame.
+
+        Returns:
+            The poses, shape (N, 4, 4) [m], and the target's velocity in a unit of each parameter, shape (N, 6, p),
+            linear part first [m, rad].
+        """
+        if not in_base:
+            return self.kinematics.twists(self.x, samples)
+        poses, twists = twists_in_base(self.kinematics, self.x, samples)
+        if self.base_motion is not None:
+            twists[:, :3] -= displacements_by(self.base_motion, poses[:, :3, 3])
+            twists[:, 3:] -= self.base_motion[3:]
+        return poses, twists
+
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
         """Return standard deviations of predicted poses of the target, sqrt(trace(J C J^T) + |J g|^2).
 
@@ -283,13 +303,7 @@ class FittedModel(Value):
             Of the position [m] and of the orientation [rad], shape (N, 2), read-only: the root of the sum of the
             variances along three axes.
         """
-        if in_base:
-            poses, twists = twists_in_base(self.kinematics, self.x, samples)
-            if self.base_motion is not None:
-                twists[:, :3] -= displacements_by(self.base_motion, poses[:, :3, 3])
-                twists[:, 3:] -= self.base_motion[3:]
-        else:
-            _, twists = self.kinematics.twists(self.x, samples)
+        _, twists = self.twists(samples, in_base=in_base)
         # Twists are of the shape (N, 6, p), linear [m] then angular [rad] a unit of each parameter.
         JC = (twists.reshape(-1, len(self.x)) @ self.covariance).reshape(twists.shape)
         variance_by_axis = np.sum(JC * twists, axis=2) + (twists @ self.change_by_scale) ** 2
