@@ -1,7 +1,7 @@
 """Coverage factors: the length that an error vector stays below with the probability of k = 2.
 
-The square of the length of a normal error with covariance Sigma is a sum of squares weighted by the eigenvalues l of
-Sigma. Three moments of it, c_j = sum l^j, are those of a shifted and scaled chi-square with h = c_2^3 / c_3^2 degrees of
+The squared length of a normal error with covariance Sigma is a sum of squares weighted by the eigenvalues l of
+Sigma. Its three moments c_j = sum l^j are those of a shifted and scaled chi-square with h = c_2^3 / c_3^2 degrees of
 freedom (J. P. Imhof, Biometrika 48, 1961, section 4): exact for one direction, for a circle and for a sphere. If Sigma
 was estimated with nu degrees of freedom, h F(h, nu) takes the place of chi-square with h, which for one direction
 is Student's t.
