@@ -26,17 +26,30 @@ _LIMIT = "The limit of {} iterations was reached before the steps became negligi
 #: Message of a solver whose damping rose beyond its limit: it converged, by rounding.
 _NO_STEP_HELPS = "No step, however short, lowers the cost any further."
 
+#: Message of a solver that ran to where there is nothing left to solve.
+_LOST = "The residual no longer depends on parameter {}, which the steps have carried far away."
+
 #: Damping of the first step.
 _FIRST_DAMPING = 1e-8
 
 #: After a gain ratio of at least this the damping falls to a tenth.
 _GOOD_GAIN = 0.9
 
-#: The least damping.
-_LOWEST_DAMPING = 1e-15
+#: The least damping. It counts relative to the largest column norms so far, beside which those at the solution may be
+#: nothing: a parameter that an exponential multiplies can fall by fifty powers of ten.
+_LOWEST_DAMPING = 1e-200
 
 #: With more damping no step is long enough to change x.
 _HIGHEST_DAMPING = 1e12
+
+#: Where a step promises to lower the cost by a smaller share, rounding decides whether the cost falls.
+_ROUNDING = 1e-13
+
+#: Damping grows by this factor until a step is no longer than the longest.
+_SHORTEN = 4.0
+
+#: The residual hardly depends on a parameter any more whose column has fallen to this share of its largest norm.
+_FLAT = 1e-8
 
 #: Columns that LAPACK's QR takes at a time: it needs room for as many. By default it has room for three.
 _QR_BLOCK = 32
@@ -65,7 +78,7 @@ class Iteration:
     cost: float
     #: Its damping; 0 for SciPy, which has a trust region instead
     mu: float
-    #: Actual over predicted decrease of E; None if the solver does not state it
+    #: Actual over predicted decrease of E; None if the solver does not state it, or if both are rounding
     gain: float | None
     #: Length of the step, in the solver's units
     step: float
@@ -81,7 +94,7 @@ class Solution(Value):
     x: Array
     #: E(x)
     cost: float
-    #: ``"converged"`` or ``"stopped"`` (at the limit of iterations)
+    #: ``"converged"`` or ``"stopped"`` (at the limit of iterations, or where a parameter has lost its effect)
     status: str
     #: Why, in a sentence
     message: str
@@ -103,6 +116,7 @@ def levenberg_marquardt(
     step_tolerance: float = 1e-9,
     *,
     tolerance: float = 1e-12,
+    longest_step: float = np.inf,
     iterations: int = 100,
 ) -> Solution:
     """Minimise E(x) = 1/2 r(x)^T r(x) by Levenberg-Marquardt with a damped step solved by QR.
@@ -114,16 +128,22 @@ def levenberg_marquardt(
     short by the same factor. The parabola through E, its slope and its value after a step of the gain g has its minimum
     at 1 / (2 - g) times the step. So a step with g well above 1 is followed by one that is longer by this factor.
 
+    E tells x to some eight digits only, because it is flat at its minimum: then steps are taken as long as the next one
+    promises less than the last, which tells x almost to rounding. A `tolerance` of 1e-12 ends before that.
+
     Args:
         system: Maps x, shape (p,), to the residual r, (m,), and its Jacobian dr/dx, (m, p).
         x0: shape (p,), start.
         step_size: shape (p,), change of each parameter that is one unit of a step's length.
         step_tolerance: A shorter step, in these units, has converged.
         tolerance: So has a step that promises to lower E by less than this share of it.
+        longest_step: The damping is raised until a step is no longer than this, in the units of `step_size`. A model
+            that is far from linear may otherwise throw the first steps to where its residual is flat.
         iterations: The most trial steps.
 
     Returns:
-        The last x that was accepted, with status ``"stopped"`` if it took the most steps, and all trial steps.
+        The last x that was accepted, and all trial steps. The status is ``"stopped"`` if it took the most steps, or if
+        a parameter lost its effect on the residual before it was determined.
 
     Raises:
         SolverError: The system is not finite at the start.
@@ -139,44 +159,60 @@ def levenberg_marquardt(
     history: list[Iteration] = []
     status = "converged"
     while True:
-        dx = _damped_step(R, rhs, np.sqrt(mu) * scale)
-        length = float(np.linalg.norm(dx / step_size))
-        cost_of_model = float(np.sum((rhs - R @ dx) ** 2))
-        predicted = 0.5 * (float(rhs @ rhs) - cost_of_model)
+        dx, length = _step(R, rhs, mu, scale, step_size)
+        while length > longest_step:
+            mu = mu * _SHORTEN
+            dx, length = _step(R, rhs, mu, scale, step_size)
+        predicted = _predicted(R, rhs, dx)
         if predicted <= tolerance * cost or length <= step_tolerance:
             message = _CONVERGED
             break
-
-        trial_x = x + stretch * dx
-        trial_r, trial_J = system(trial_x)
-        trial_cost = _cost(trial_r)
-        gain = (cost - trial_cost) / predicted if np.isfinite(trial_cost) else -np.inf
-        history.append(Iteration(cost, mu, gain, stretch * length, gain > 0))
-        if gain > 0:
-            x, cost = trial_x, trial_cost
-            R, rhs = _triangle(trial_J, trial_r)
-            scale = np.maximum(scale, _column_norms(trial_J))
-        if stretch > 1.0:  # a plain step follows, whose gain tells how far the next may go
-            stretch = 1.0
-        elif gain > 0:
-            # The closer the gain is to 1, the more the damping falls.
-            factor = 0.1
-            if gain < _GOOD_GAIN:
-                factor = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
-            mu = max(mu * factor, _LOWEST_DAMPING)
-            raise_by = 2.0
-            if gain > _SHORT:
-                stretch = 1.0 / max(2.0 - gain, 1.0 / _LONGEST)
-        else:
-            mu = mu * raise_by
-            raise_by = raise_by * 2.0
-            if mu > _HIGHEST_DAMPING:
+        if predicted <= _ROUNDING * cost:
+            trial_x = x + dx
+            trial_r, trial_J = system(trial_x)
+            trial_R, trial_rhs = _triangle(trial_J, trial_r)
+            next_dx, _ = _step(trial_R, trial_rhs, mu, scale, step_size)
+            nearer = _predicted(trial_R, trial_rhs, next_dx) < predicted
+            history.append(Iteration(cost, mu, None, length, nearer))
+            if not nearer:
                 message = _NO_STEP_HELPS
                 break
+            x, cost, R, rhs = trial_x, _cost(trial_r), trial_R, trial_rhs
+        else:
+            trial_x = x + stretch * dx
+            trial_r, trial_J = system(trial_x)
+            trial_cost = _cost(trial_r)
+            gain = (cost - trial_cost) / predicted if np.isfinite(trial_cost) else -np.inf
+            history.append(Iteration(cost, mu, gain, stretch * length, gain > 0))
+            if gain > 0:
+                x, cost = trial_x, trial_cost
+                R, rhs = _triangle(trial_J, trial_r)
+                scale = np.maximum(scale, _column_norms(trial_J))
+            if stretch > 1.0:  # a plain step follows, whose gain tells how far the next may go
+                stretch = 1.0
+            elif gain > 0:
+                # The closer the gain is to 1, the more the damping falls.
+                factor = 0.1
+                if gain < _GOOD_GAIN:
+                    factor = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+                mu = max(mu * factor, _LOWEST_DAMPING)
+                raise_by = 2.0
+                if gain > _SHORT:
+                    stretch = 1.0 / max(2.0 - gain, 1.0 / _LONGEST)
+            else:
+                mu = mu * raise_by
+                raise_by = raise_by * 2.0
+                if mu > _HIGHEST_DAMPING:
+                    message = _NO_STEP_HELPS
+                    break
         if len(history) == iterations:
             status = "stopped"
             message = _LIMIT.format(iterations)
             break
+    lost = _lost(R, rhs, scale, step_size, step_tolerance)
+    if status == "converged" and len(lost):
+        status = "stopped"
+        message = _LOST.format(int(lost[0]) + 1)
     return Solution(x, cost, status, message, len(history) + 1, tuple(history))
 
 
@@ -362,8 +398,9 @@ def _start(system: System, x0: Array) -> tuple[Array, Array, Array]:
 
 
 def _cost(r: Array) -> float:
-    """Return the cost E = 1/2 r^T r of a residual r (m,)."""
-    return 0.5 * float(r @ r)
+    """Return the cost E = 1/2 r^T r of a residual r (m,); of a trial that went far out it may be infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return 0.5 * float(r @ r)
 
 
 def _column_norms(J: Array) -> Array:
@@ -415,6 +452,31 @@ def upper_root(products: Array) -> Array | None:
     if failed or root.diagonal().min() < _SINGULAR:
         return None
     return np.asarray(root * scale)
+
+
+def _step(R: Array, rhs: Array, mu: float, scale: Array, step_size: Array) -> tuple[Array, float]:
+    """Return the step dx (p,) with the damping mu, and its length in units of step_size, (p,)."""
+    dx = _damped_step(R, rhs, np.sqrt(mu) * scale)
+    return dx, float(np.linalg.norm(dx / step_size))
+
+
+def _predicted(R: Array, rhs: Array, dx: Array) -> float:
+    """Return by how much a step dx (p,) lowers E, as |R dx - rhs|^2 says."""
+    cost_of_model = float(np.sum((rhs - R @ dx) ** 2))
+    return 0.5 * (float(rhs @ rhs) - cost_of_model)
+
+
+def _lost(R: Array, rhs: Array, scale: Array, step_size: Array, step_tolerance: float) -> Array:
+    """Return the indices of columns that are next to nothing beside their largest norm, and call for a long step."""
+    norms = np.sqrt(np.einsum("ij,ij->j", R, R))
+    lost = []
+    for k in np.flatnonzero(norms < _FLAT * scale):
+        # The minimum along x_k alone.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = (R[:, k] @ rhs) / norms[k] ** 2 / step_size[k]
+        if not abs(step) <= step_tolerance:
+            lost.append(k)
+    return np.array(lost, dtype=np.intp)
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
