@@ -20,6 +20,7 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -35,8 +36,26 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 #: The modules that decide numbers and verdicts.
-FITTING = ("numerics/*", "model/*", "data/kinds", "registration/*", "estimate/*")
-JUDGING = ("selection/*", "diagnosis/*", "result/*", "compensation/*")
+FITTING = (
+    "numerics/*",
+    "model/*",
+    "data/kinds",
+    "fit/registration/*",
+    "fit/estimate/*",
+    "fit/estimate/special_cases/*",
+)
+JUDGING = ("fit/selection/*", "diagnosis/*", "result/*", "uncertainty/*")
+COMPENSATING = tuple(
+    f"verbs/compensate/{name}"
+    for name in (
+        "compensate",
+        "expected",
+        "inverse",
+        "nominal_actual",
+        "pose_covariance",
+        "solutions",
+    )
+)
 
 #: An operator between its operands.
 OPERATOR = re.compile(r"not\s+in|is\s+not|[^\s()]+")
@@ -60,8 +79,9 @@ SKIPPED = ("annotation", "returns", "decorator_list", "exc", "msg")
 #: What tests do not need of the checkout.
 NOT_COPIED = shutil.ignore_patterns(".*", "__pycache__", "site", "demo", "*.jsonl")
 
-#: The longest that the tests of a mutant may take [s].
-LIMIT = 900.0
+#: The longest that the tests of a mutant may compute, however busy the machine is, and that they may wait [s].
+LIMIT = 600
+PATIENCE = 7200.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +201,13 @@ def draw(only: str, seed: int) -> Iterator[Mutant]:
         seed: The same seed gives the same mutants in the same order while the code is the same.
     """
     rng, by_kind = random.Random(seed), dict[str, list[Place]]()
-    patterns = [f"calib/{pattern}.py" for pattern in (*FITTING, *JUDGING)]
-    paths = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
+    paths: list[Path] = []
+    for pattern in (*FITTING, *JUDGING, *COMPENSATING):
+        found = sorted(ROOT.glob(f"calib/{pattern}.py"))
+        if not found:
+            raise SystemExit(f"No module is called calib/{pattern}.py any more.")
+        paths += found
+    paths.sort()
     names = [path.relative_to(ROOT).as_posix() for path in paths]
     for name in fnmatch.filter(names, f"*{only}*"):
         for place in places(name):
@@ -209,12 +234,15 @@ def run(root: Path, arguments: list[str]) -> str:
         stderr=subprocess.DEVNULL,
         text=True,
         start_new_session=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 5)),
     )
     try:
-        output, _ = process.communicate(timeout=LIMIT)
+        output, _ = process.communicate(timeout=PATIENCE)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)  # with all that the tests started
         process.wait()
+        return "time limit"
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return "time limit"
     if process.returncode in (0, 5):  # 5: there is no test
         return ""
@@ -222,10 +250,18 @@ def run(root: Path, arguments: list[str]) -> str:
     return failed[1] if failed else "an error"
 
 
-def judged(root: Path, mutant: Mutant) -> Mutant:
-    """Run the examples and the own tests of a mutant's module, then all others of its folder."""
+def tests_of(module: str) -> str:
+    """Return the folder of the tests of a module: that of the same name in tests/."""
+    return Path("tests", *Path(module).parts[1:-1]).as_posix()
+
+
+def judged(root: Path, mutant: Mutant, sound: set[str]) -> Mutant:
+    """Run the examples and the own tests of a mutant's module, then all others of its folder.
+
+    The test that fails has to pass without the mutant; `sound` are those that are known to.
+    """
     path = root / mutant.path
-    folder = f"tests/{path.parent.name}"
+    folder = tests_of(mutant.path)
     own = f"{folder}/test_{path.name}"
     first = [mutant.path, own] if (root / own).exists() else [mutant.path]
     data = path.read_bytes()
@@ -235,6 +271,10 @@ def judged(root: Path, mutant: Mutant) -> Mutant:
             mutant = replace(mutant, killed_by=name, test=test)
             break
     path.write_bytes(data)
+    if "::" in mutant.test and mutant.test not in sound:
+        if run(root, [mutant.test]) == mutant.test:
+            raise SystemExit(f"Without a mutant a test fails: {mutant.test}")
+        sound.add(mutant.test)
     found = mutant.killed_by or "SURVIVED"
     print(f"{mutant.path}:{mutant.line} {mutant.kind}: {found} {mutant.test}", flush=True)
     return mutant
@@ -243,11 +283,11 @@ def judged(root: Path, mutant: Mutant) -> Mutant:
 def survey(mutants: list[Mutant], workers: int, file: Path) -> None:
     """Judge mutants, and append each to the file as it is done."""
     remaining = iter(mutants)  # shared by the workers
-    folders = sorted({Path(mutant.path).parts[1] for mutant in mutants})
+    sound: set[str] = set()
 
     def work(root: Path) -> None:
         for mutant in remaining:
-            line = json.dumps(asdict(judged(root, mutant))) + "\n"
+            line = json.dumps(asdict(judged(root, mutant, sound))) + "\n"
             with file.open("a", encoding="utf-8") as lines:
                 lines.write(line)
 
@@ -255,9 +295,6 @@ def survey(mutants: list[Mutant], workers: int, file: Path) -> None:
         roots = [Path(parent, str(k)) for k in range(workers)]
         for root in roots:
             shutil.copytree(ROOT, root, ignore=NOT_COPIED)
-        for folder in folders:
-            if test := run(roots[0], [f"tests/{folder}"]):
-                raise SystemExit(f"Without a mutant the tests of {folder} fail: {test}")
         try:
             list(pool.map(work, roots))
         finally:

@@ -15,6 +15,7 @@ from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from tests.browser import CHROMIUM, NEEDED, Browser
+from tests.kept import FOLDER
 
 # How long an example takes says nothing of what it checks, and on a busy machine 0.2 s are soon over. The same examples
 # each time: a change is not refused for what it did not touch. HYPOTHESIS_SEED=random draws others.
@@ -36,6 +37,15 @@ def pytest_configure() -> None:
     """Let Ctrl-C be heard: what a shell starts in the background ignores it, and so would the programs under test."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _folder_of_all_workers(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Where workers leave for each other what is expensive; pytest removes it after some runs."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = tmp_path_factory.getbasetemp().parent / "kept"
+        folder.mkdir(exist_ok=True)
+        FOLDER.append(folder)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from calib.result.calibration import Calibration
 from calib.robot.gravity import GRAVITY, Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
+from tests.kept import kept
 
 #: Numbers of kinds in the registry.
 
@@ -40,7 +40,11 @@ def paper_cell() -> Cell:
 
 @pytest.fixture(scope="session")
 def default_result(ur3: Robot, table: Measurements, paper_cell: Cell) -> Calibration:
-    return calibrate(ur3, table, cell=paper_cell)
+    @kept
+    def default() -> Calibration:
+        return calibrate(ur3, table, cell=paper_cell)
+
+    return default()
 
 
 def point_rows(
@@ -415,7 +419,7 @@ def calibrated(make_scene: Callable[..., Scene]) -> Callable[[str], tuple[Scene,
         usual = {"targets": TARGETS[:1], "length": 3e-4, "angle": 3e-3, "noise": 2e-5}
         return make_scene(seed, **(usual | given))
 
-    @cache
+    @kept
     def run(name: str) -> tuple[Scene, Calibration]:
         scene, table, cell = CASES[name](make)
         return scene, calibrate(scene.robot, every_sixth_validates(table), cell=cell)

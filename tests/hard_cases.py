@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -23,6 +22,7 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 from calib.verbs.simulate.disturbances import Outliers
 from calib.verbs.simulate.scenario import Scenario
+from tests.kept import kept
 
 #: Names that break what does not escape them: HTML, mathtext, Markdown, quotes, lines, width, letters and direction.
 HOSTILE = (
@@ -189,7 +189,7 @@ def mixed() -> Calibration:
     )
 
 
-@cache
+@kept
 def many_rows(count: int = 20_000) -> Calibration:
     """As many rows as are asked for, a tenth of them to validate."""
     scenario = Scenario(ur3(), Cell(model="dh"), model="dh", outliers=Outliers(count=count // 1000))
@@ -230,7 +230,7 @@ CASES: dict[str, Callable[[], Calibration]] = {
 }
 
 
-@cache
+@kept
 def made(name: str) -> Calibration:
     """The calibration of a case."""
     return CASES[name]()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from calib.data.measurements import Measurements
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.urdf import read_urdf
+from tests.kept import kept
 
 #: Errors of each placement, standard deviations: [m], [rad].
 LENGTH, ANGLE = 5e-4, 2e-3
@@ -31,7 +31,7 @@ CELL = Cell(
 )
 
 
-@cache
+@kept
 def fitted(seed: int = 1) -> Calibration:
     """The calibration of a table, without validation: enough for what verbs do with it."""
     table = two_handed(seed).measurements

@@ -13,8 +13,21 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 from validation_table import comparison_rows, nist_rows
 
+#: A second and a half.
+LONG = {"jacobians_by_differences"}
 
-@pytest.mark.parametrize("comparison", COMPARISONS, ids=lambda one: one.figure.__name__)
+
+@pytest.mark.parametrize(
+    "comparison",
+    [
+        pytest.param(
+            one,
+            id=one.figure.__name__,
+            marks=[pytest.mark.slow] if one.figure.__name__ in LONG else [],
+        )
+        for one in COMPARISONS
+    ],
+)
 def test_the_difference_is_below_its_limit(comparison):
     assert comparison.figure() < comparison.limit
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.verbs.calibrate.seen_corners import SeenCorners
 from tests.images import arm, cell, poses, table
+from tests.kept import kept
 
 
-@cache
+@kept
 def by_images() -> Calibration:
     """Ten images of a board by a camera on the hand, with noise of 0.3 px."""
     m = table(poses(10), noise=0.3)

@@ -25,6 +25,7 @@ from calib.robot.urdf import Urdf
 from calib.verbs.convert.convert import FORMATS
 from calib.verbs.convert.format import CameraOptions, Conversion, Options
 from calib.verbs.convert.urdf_formats import result_source
+from tests.kept import kept
 
 #: The lines of a camera, as people write them: mixed quotes, a comment, an origin without xyz, one not at all.
 CAMERA = """\
@@ -93,7 +94,7 @@ def poses_of_board(actual: Robot, q: np.ndarray) -> np.ndarray:
     return rigid_inverse(T_TOOL_OPTICAL) @ actual.poses(q) @ T_BASE_BOARD
 
 
-@cache
+@kept
 def calibration() -> Calibration:
     """A calibration of an arm with wrong zeros, by poses of a board on the base as a camera on the flange sees it."""
     robot, actual = nominal_and_actual()
@@ -134,7 +135,7 @@ def images(actual: Robot, q: np.ndarray) -> np.ndarray:
     return result
 
 
-@cache
+@kept
 def image_calibration() -> Calibration:
     """A calibration of the same arm by images of the board, of whose camera the size alone is known."""
     robot, actual = nominal_and_actual()

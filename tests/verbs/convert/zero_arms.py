@@ -23,6 +23,7 @@ from calib.verbs.convert.zeros import (
     TABLE,
     TRANSMISSION_YAML,
 )
+from tests.kept import kept
 
 #: How each format stores zeros.
 STORED = {
@@ -63,7 +64,7 @@ def servo_readings() -> np.ndarray:
     return random_joint_values(servo_arm(), 24, 3)
 
 
-@cache
+@kept
 def servo_result() -> Calibration:
     """The SO-101, its target known, so that all five zeros are determined."""
     robot = servo_arm()
@@ -72,7 +73,7 @@ def servo_result() -> Calibration:
     return calibrate(robot, measured, cell=cell)
 
 
-@cache
+@kept
 def ur3_result() -> Calibration:
     """The paper's UR3, whose target is estimated: the last zero is not determined."""
     robot = Robot.load(calib.example.paper_urdf(), base="base", tip="tool0")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import calib.example
@@ -12,10 +11,11 @@ from calib.diagnosis.reasons import Verdict
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
+from tests.kept import kept
 from tests.verbs.fleet.arms import CELL, scenario
 
 
-@cache
+@kept
 def fitted(number: int) -> Calibration:
     """The calibration of the table of this number; another number has another run."""
     robot = Robot.load(calib.example.paper_urdf(), base="base", tip="tool0")
