@@ -24,7 +24,7 @@ from time import perf_counter
 import numpy as np
 import pinocchio as pin
 from arms import load_arm
-from studies import joint_values_around, log_uniform, print_table, study_parser
+from studies import TYPICAL_ERRORS, joint_values_around, log_uniform, print_table, study_parser
 from verification_truth import JointErrors, Truth, draw_frame
 
 from calib.basics.arrays import Array, read_only
@@ -50,8 +50,14 @@ POINTS = 500
 #: Arms that are drawn.
 ARMS = ("ur10", "panda", "irb120")
 
-#: Standard deviations of a true arm's errors that are small: gains, encoders and a third harmonic of each joint.
-GAIN, ECCENTRICITY, HARMONIC = 1e-4, 1e-4, 5e-5
+#: Standard deviations of the errors of a true arm's gains and encoders, of which each arm has a share [-], [rad].
+GAIN, ECCENTRICITY = TYPICAL_ERRORS["gain"], TYPICAL_ERRORS["eccentricity"]
+
+#: The least and the greatest share.
+SHARES = (0.1, 1.0)
+
+#: Standard deviation of a third harmonic of each joint [rad].
+HARMONIC = 3e-5
 
 #: Standard deviation of a joint's arrival [rad].
 ARRIVAL = 2e-5
@@ -66,7 +72,7 @@ SOCKETS = np.array([[0.5, 0.2, 0.2], [0.45, -0.35, 0.1], [0.2, 0.5, 0.35], [0.55
 BAR = 1e-5
 
 BOARD = Board(
-    pattern="charuco", columns=7, rows=5, square=0.03, marker=0.022, dictionary="DICT_5X5_100"
+    pattern="charuco", columns=5, rows=4, square=0.045, marker=0.033, dictionary="DICT_5X5_100"
 )
 CAMERA = Camera(
     width=1280,
@@ -124,10 +130,11 @@ def draw_arm(rng: np.random.Generator, seed: int, *, loaded: bool, lost: float) 
     payload = Payload(float(rng.uniform(1.0, 3.0)), (0.02, 0.0, 0.06)) if loaded else None
     truth = Truth.draw(nominal, rng, "dh", targets=2, rotation=True, payload=payload)
     count = len(nominal.joints)
+    of_gain, of_encoder = (log_uniform(rng, *SHARES) for _ in range(2))
     state = JointErrors(
-        gain=GAIN * rng.standard_normal(count),
-        sin=ECCENTRICITY * rng.standard_normal(count),
-        cos=ECCENTRICITY * rng.standard_normal(count),
+        gain=of_gain * GAIN * rng.standard_normal(count),
+        sin=of_encoder * ECCENTRICITY * rng.standard_normal(count),
+        cos=of_encoder * ECCENTRICITY * rng.standard_normal(count),
         compliance=COMPLIANCE * rng.uniform(0.5, 1.5, count) * loaded,
     )
     return TrueArm(
@@ -333,14 +340,14 @@ def run_sockets(seed: int) -> Calibrated:
 
 
 def run_pictures(seed: int) -> Calibrated:
-    """Draw a cell of a camera on the hand, calibrate it, and judge the board's positions in the base."""
+    """Draw a cell of a camera that looks at a board on the hand, calibrate it, and judge the board's positions."""
     robot = load_arm(ARMS[seed // len(KINDS) % len(ARMS)])
     rng = np.random.default_rng([48, seed])
     known = Cell(kind="pixel", cameras={"": CAMERA}, boards={"": BOARD})
     virtual = Scenario(
         robot, known, model="dh", noise=None, sigma={"px": log_uniform(rng, 0.1, 0.4)}
     ).draw(seed)
-    simulated = virtual.measure(virtual.poses(int(rng.integers(20, 41)), seed), seed)
+    simulated = virtual.measure(virtual.poses(int(rng.integers(18, 31)), seed), seed)
     pictures = simulated.pictures
     assert pictures is not None
     number = len(pictures.picture)
@@ -354,12 +361,11 @@ def run_pictures(seed: int) -> Calibrated:
         board_points=BOARD.corners[pictures.corner],
         readings={"u": pictures.pixels[:, 0], "v": pictures.pixels[:, 1]},
     )
-    result = calibrate(
-        robot, table, cell=Cell(cameras={"": CAMERA}, boards={"": BOARD})
-    )
+    result = calibrate(robot, table, cell=Cell(cameras={"": CAMERA}, boards={"": BOARD}))
     fresh = points_of(table.joints, robot, rng)
-    T_true = virtual.truth.tip_poses(fresh) @ virtual.truth.T_tip_target[0]
-    return judged(result, fresh, T_true, in_base=True)
+    # In the camera: how the base is turned about the first joint is the joint's zero as well.
+    T_base_board = virtual.truth.tip_poses(fresh) @ virtual.truth.T_tip_target[0]
+    return judged(result, fresh, virtual.truth.T_frame_base[0] @ T_base_board)
 
 
 def run_cell(seed: int) -> Calibrated:
@@ -394,9 +400,16 @@ def line_of(seed: int, cell: Calibrated, seconds: float) -> dict[str, object]:
         "near": float(np.mean(holds[near])),
         "far": float(np.mean(holds[far])),
         "error": [float(np.sqrt(np.mean(length[where] ** 2))) for where in (near, far)],
-        "stated": [float(np.sqrt(np.mean(cell.uncertainty.position_std[where] ** 2))) for where in (near, far)],
-        "U": [float(np.sqrt(np.mean(cell.uncertainty.position[where] ** 2))) for where in (near, far)],
-        "angle": float(np.mean(cell.angle <= cell.uncertainty.orientation)) if len(cell.angle) else None,
+        "stated": [
+            float(np.sqrt(np.mean(cell.uncertainty.position_std[where] ** 2)))
+            for where in (near, far)
+        ],
+        "U": [
+            float(np.sqrt(np.mean(cell.uncertainty.position[where] ** 2))) for where in (near, far)
+        ],
+        "angle": float(np.mean(cell.angle <= cell.uncertainty.orientation))
+        if len(cell.angle)
+        else None,
         "parts": parts,
         "use": "" if result.verdict is None else result.verdict.use,
         "model": result.part(non_geometric=True).model.name,

@@ -50,6 +50,7 @@ from calib.numerics.errors import rms
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel
 from calib.result.row_scatter import joint_twists
+from calib.result.stated_places import displaced
 from calib.uncertainty.beyond import variance_beyond
 from calib.uncertainty.coverage import covered_length
 
@@ -190,7 +191,8 @@ def uncertainty_at(
     poses, twists = model.twists(samples, in_base=in_base)
     arrivals = arrivals_of(result, model)
     parts = (
-        *_of_parameters(result, model, twists),
+        *_of_parameters(result, model, samples, twists, in_base=in_base),
+        *_of_stated_places(result, model, samples, poses, twists, in_base=in_base),
         *_of_arrivals(arrivals, len(poses)),
         *_of_joints(result, model, samples, in_base=in_base),
         *_of_temperature(result, model, samples, poses, twists, in_base=in_base),
@@ -229,7 +231,7 @@ def parameter_covariances(model: FittedModel) -> dict[Source, Array]:
 
 
 def _of_parameters(
-    result: Calibration, model: FittedModel, twists: Array
+    result: Calibration, model: FittedModel, samples: Samples, twists: Array, *, in_base: bool
 ) -> Iterator[Contribution]:
     """Yield the parts that the parameters' uncertainty is of at derivatives of poses, (N, 6, p)."""
     freedom = result.noise.freedom
@@ -252,21 +254,56 @@ def _of_parameters(
             scale.freedom_of_size,
         )
 
-    # Beyond the measured poses, in proportion to what the covariance adds there.
+    # Beyond the measured poses the larger of two estimates of what is lacking there counts.
     variance = _std(total, _POSITION) ** 2
     beyond = np.maximum(variance - model.noise_measured**2, 0.0)
-    everywhere = model.expected_everywhere**2 - model.scale_everywhere**2 - model.noise_measured**2
+    by_families = _of_families(result, model, samples, twists, in_base=in_base)
     by_model = (model.extrapolation - 1.0) * beyond
-    by_families = np.zeros(len(beyond))
-    if everywhere > 0.0:
-        by_families = model.undetermined**2 * beyond / everywhere
-    of_model = by_model >= by_families
-    for source, added in (
-        (Source.MODEL, np.where(of_model, by_model, 0.0)),
-        (Source.UNDETERMINED, np.where(of_model, 0.0, by_families)),
-    ):
-        share = np.where(variance > 0.0, added / np.where(variance > 0.0, variance, 1.0), 0.0)
-        yield _part(source, share[:, None, None] * total, Distribution.NORMAL, np.inf)
+    of_model = by_model > _std(by_families, _POSITION) ** 2
+    share = np.where(of_model, by_model, 0.0) / np.where(of_model, variance, 1.0)
+    few = float(len(result.nominal.inputs))
+    yield _part(Source.MODEL, share[:, None, None] * total, Distribution.STUDENT, few)
+    kept = np.where(of_model, 0.0, 1.0)[:, None, None]
+    yield _part(Source.UNDETERMINED, kept * by_families, Distribution.STUDENT, few)
+
+
+def _of_families(
+    result: Calibration, model: FittedModel, samples: Samples, twists: Array, *, in_base: bool
+) -> Array:
+    """Return the covariance by families of errors whose sizes the rows do not tell, (N, 6, 6)."""
+    families = model.undetermined_families
+    if families is None:
+        return np.zeros((len(twists), 6, 6))
+    further = families.twists(result.nominal, model.setup, samples, in_base=in_base)
+    by_factor = np.concatenate([twists, further], axis=2) @ families.factor
+    return np.asarray(by_factor @ by_factor.transpose(0, 2, 1))
+
+
+def _of_stated_places(
+    result: Calibration,
+    model: FittedModel,
+    samples: Samples,
+    poses: Array,
+    twists: Array,
+    *,
+    in_base: bool,
+) -> Iterator[Contribution]:
+    """Yield the parts that stated frames and targets are of, which are known as well as the cell says."""
+    stated = result.stated_uncertainty
+    origins = np.zeros((len(poses), 3))
+    if not in_base:
+        origins = model.setup.T_frame_base[samples.frame][:, :3, 3]
+    for place in model.stated_places:
+        numbers = samples.frame if place.is_frame else samples.target
+        by_place = displaced(poses, origins, is_frame=place.is_frame)
+        # In the base a frame is nowhere; other frames and targets see the fit's error alone.
+        by_place[(numbers != place.index) | (place.is_frame and in_base)] = 0.0
+        left = by_place - twists @ place.absorbed
+        sizes = (stated.frame, stated.frame_angle) if place.is_frame else (stated.target, 0.0)
+        std = np.repeat(sizes, 3)
+        covariance = (left * std**2) @ left.transpose(0, 2, 1)
+        source = Source.FRAME if place.is_frame else Source.TARGET
+        yield _part(source, covariance, Distribution.NORMAL, np.inf)
 
 
 # What each arrival adds
