@@ -203,7 +203,7 @@ def undetermined_error(
         M += np.einsum("k,kpq->pq", shares, covariance[of_family] + squares_away) - covariance[0]
     names = tuple(compress(further.model.names, kept))
     base_motion = None
-    if base_moves:
+    if base_moves and names:
         poses, J = further.twists(zero, measured)
         T = rigid_inverse(fitted.estimated_setup().T_frame_base[measured.frame])
         linear_part = T[:, :3, :3] @ J[:, :3][:, :, kept]
