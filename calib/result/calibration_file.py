@@ -213,6 +213,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "method": "",
             "optics": "",
             "source": "inputs.measurements.",
+            "stated_uncertainty": "inputs.uncertainty",
         },
         FittedModel: {
             "kinematics": None,  # follows from the model, the setup and x
@@ -233,10 +234,18 @@ _LAYOUT: JsonLayout = JsonLayout(
             "board": "expected.board",
             "validation_board": "expected.validation_board",
             "undetermined": "expected.undetermined_rms_m",
+            "undetermined_families": "expected.undetermined",
+            "scatter": "noise.rows",
+            "stated_places": "frames.stated_places",
         },
         Setup: {"internals": "optics"},
         Parameter: {"internal": "optic"},
-        NonGeometric: {"prior_std": _PRIOR_STD, "gravity": "gravity_m_s2"},
+        NonGeometric: {
+            "prior_std": _PRIOR_STD,
+            "gravity": "gravity_m_s2",
+            "scatter": "scatter",
+            "stated_places": "stated_places",
+        },
         ResultRows: {
             "numbers": "rows.numbers",
             "sets": "rows.sets",
