@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import yaml
 
+import calib.verbs.calibrate.figure_budget as budget
 import calib.verbs.calibrate.figure_coverage as coverage
 import calib.verbs.calibrate.figure_errors as errors
 import calib.verbs.calibrate.figure_images as images
@@ -23,11 +24,11 @@ import calib.verbs.calibrate.figure_space as space
 from calib.basics.files import make_folder, write_atomically
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.result.calibration import Calibration
-from calib.robot.ranges import SPREAD
 from calib.show.blocks import Drawing
 from calib.show.look import rows_text
 from calib.show.plotting import render, require_matplotlib, styled
 from calib.verbs.calibrate.seen_corners import image_rows
+from calib.verbs.calibrate.text import unknown_accuracy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,6 +100,7 @@ FIGURES: dict[str, FigureKind] = {
         model.singular_values, lambda c: c.trust.observability.columns > 0
     ),
     "candidates": FigureKind(model.candidates, lambda c: bool(c.method.candidates)),
+    "uncertainty-budget": FigureKind(budget.shares, lambda c: not unknown_accuracy(c)),
     "workspace-uncertainty": FigureKind(space.uncertainty, _always),
 }
 
@@ -119,7 +121,6 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
         "rows": rows,
         "estimation": estimation,
         "poses": f"{space.POSES:,}",
-        "spread": str(SPREAD),
         "curve_rows": f"the {rows_text(curves.mask, rows_kind)}, {relation}",
     }
     tried = calibration.method.candidates

@@ -94,14 +94,9 @@ def facts(c: Calibration) -> dict[str, str]:
             per = _per_scalar(c.rows.channels, unit)
             result[SCATTER] = f"{with_unit(scatter, unit)} {per} ({freedom:.0f} d.o.f.)."
 
-    if c.cross_validation is None and c.verdict is not None:
-        # A usual mistake explains the rows, or a frame was not found: what was fitted does not exist.
-        result[EXPECTED] = "not known: see the verdict."
-    elif c.cross_validation is None and c.noise.freedom < _ENOUGH_FREEDOM:
-        # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
-        result[EXPECTED] = "not known: too few rows."
-    elif all(registry.get(kind).of_joint for kind in c.rows.kinds):
-        result[EXPECTED] = "not known: end stops tell nothing of lengths."
+    unknown = unknown_accuracy(c)
+    if unknown:
+        result[EXPECTED] = f"not known: {unknown}."
     else:
         near, everywhere = c.new_point
         result[EXPECTED] = (
@@ -131,6 +126,19 @@ def facts(c: Calibration) -> dict[str, str]:
     o = c.trust.observability
     result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
     return result
+
+
+def unknown_accuracy(c: Calibration) -> str:
+    """Word why a result has no expected error, and no uncertainty budget; empty if it has."""
+    if c.cross_validation is None and c.verdict is not None:
+        # A usual mistake explains the rows, or a frame was not found: what was fitted does not exist.
+        return "see the verdict"
+    if c.cross_validation is None and c.noise.freedom < _ENOUGH_FREEDOM:
+        # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
+        return "too few rows"
+    if all(registry.get(kind).of_joint for kind in c.rows.kinds):
+        return "end stops tell nothing of lengths"
+    return ""
 
 
 def _board_text(b: BoardErrors, which: str) -> str:
