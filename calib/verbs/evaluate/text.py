@@ -121,8 +121,8 @@ def uncertainty_sentences(accuracy: Accuracy) -> Iterator[str]:
         text += f", beyond: {row_ranges(beyond)}." if beyond else "."
         if unit == next(iter(accuracy.known)):
             text += (
-                " U is the expanded uncertainty (95.45 %, as k = 2) of a row's error: that of the prediction, with what "
-                "the model lacks, and that of the measurement together."
+                " U is the expanded uncertainty (95.45 %, as k = 2) of a row's error: that of the prediction, with "
+                "what the model lacks, and that of the measurement together."
             )
         yield text
 
