@@ -82,6 +82,7 @@ from calib.data.cell_keys import (
 )
 from calib.data.priors import Priors, prior_keys
 from calib.data.record import Record
+from calib.data.stated_uncertainty import StatedUncertainty
 from calib.data.surroundings import (
     Box,
     FurtherRobot,
@@ -109,6 +110,7 @@ __all__ = [
     "Priors",
     "Record",
     "Reflector",
+    "StatedUncertainty",
     "Tracker",
     "TrackerNoise",
 ]
@@ -562,6 +564,15 @@ class Cell(Value):
         table_of(Record),
         "Who measured what, where, when and with what, for [reports](report.md) and result files, see below.",
         default_factory=Record,
+    )
+    #: What is stated of uncertainty, by certificates and by experience; for the budget.
+    uncertainty: StatedUncertainty = key(
+        "uncertainty",
+        table_of(StatedUncertainty),
+        "What certificates and experience say of instrument, arm and setup, for the "
+        "[uncertainty budget](uncertainty.md), see below.",
+        default_factory=StatedUncertainty,
+        absent="nothing is stated",
     )
 
     def __post_init__(self) -> None:

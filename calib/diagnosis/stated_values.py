@@ -271,8 +271,12 @@ class Scale:
         """
         if self._weight == 0.0:
             return 0.0
-        freedom = self.freedom / self._weight**2
-        return abs(self.mean) + float(stdtrit(freedom, _SURE) * np.sqrt(self.variance))
+        return abs(self.mean) + float(stdtrit(self.freedom_of_size, _SURE) * np.sqrt(self.variance))
+
+    @property
+    def freedom_of_size(self) -> float:
+        """Degrees of freedom of the variance by the prior and the rows; infinite if the prior alone determines it."""
+        return self.freedom / self._weight**2 if self._weight > 0.0 else np.inf
 
     @property
     def _weight(self) -> float:

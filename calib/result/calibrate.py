@@ -344,10 +344,12 @@ def _assemble(
     of_validation = m.validation & ~accidents(m.validation, suspects)
 
     observability = estimate.problem.observability(estimate.x)
+    noise = _noise(m, fitted)
     geometry = FittedModel.of(
         fitted,
         observability,
         of_geometry,
+        noise,
         validation_board=_board_errors(fitted, all_rows.select(of_validation)),
     )
     non_geometric = None
@@ -357,6 +359,7 @@ def _assemble(
             fits.non_geometric,
             of_larger.problem.observability(of_larger.x),
             of_non_geometric,
+            noise,
             validation_board=_board_errors(fits.non_geometric, all_rows.select(of_validation)),
             residual=read_only(fits.non_geometric.residual(all_rows)),
             payload=cell.payload,
@@ -378,7 +381,7 @@ def _assemble(
         geometry=geometry,
         non_geometric=non_geometric,
         rows=rows,
-        noise=_noise(m, fitted),
+        noise=noise,
         trust=Trust(
             nominal_cross_validation=of_nominal,
             observability=observability,
@@ -399,6 +402,7 @@ def _assemble(
         zeros=joint_zeros(fits, m.validation, cross_validated=of_geometry is not None),
         source=Source(m.source, m.sha256, m.orientation),
         record=cell.record,
+        stated_uncertainty=cell.uncertainty,
         fit_in_memory=FitInMemory(m, cell, fitted, fits.non_geometric),
     )
 

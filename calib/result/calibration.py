@@ -20,6 +20,7 @@ from calib.basics.json_files import digest
 from calib.basics.values import Value, shown_by
 from calib.data.cell import Cell
 from calib.data.record import BLANK, Record
+from calib.data.stated_uncertainty import NOT_STATED, StatedUncertainty
 from calib.diagnosis.coverage import OutsideRow, outside
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
@@ -102,6 +103,8 @@ class Calibration(Value):
     source: Source
     #: Who measured what for whom, where, when and with what, as the cell says
     record: Record = BLANK
+    #: What is stated of instrument, arm and setup for the uncertainty budget, as the cell says
+    stated_uncertainty: StatedUncertainty = NOT_STATED
     #: Measurements and solved problem; None if the result was read from a file
     fit_in_memory: FitInMemory | None = field(default=None, repr=False)
 
@@ -642,6 +645,40 @@ class Calibration(Value):
             non_geometric=non_geometric,
             in_base=group is None and part.base_motion is not None,
         )
+
+    def budget(
+        self,
+        q: ArrayLike | None = None,
+        *,
+        everywhere: bool = False,
+        target: str | None = None,
+        group: str | None = None,
+        non_geometric: bool = True,
+    ) -> Any:  # noqa: ANN401  made in a module above
+        """Return the uncertainty budget: what each source adds, which one dominates, and what would halve the whole.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m]; None: 200, spread evenly over the
+                measured ranges of the joints.
+            everywhere: Whether they are spread over the joint limits instead.
+            target: Name of the target; None: the first.
+            group: Name of the station whose frame is meant; None: the first, or the base if no row determines where it
+                stands.
+            non_geometric: Whether the non-geometric model predicts, if there is one; else the geometry.
+
+        Returns:
+            A `calib.uncertainty.budget.Budget`.
+
+        Raises:
+            ArgumentError: ``q`` is not made of numbers.
+            ModelError: There is no such target or station, ``q`` has another shape, or a value is not finite.
+        """
+        budgets = shown_by("uncertainty.budget")
+        values = budgets.budget_poses(self, everywhere=everywhere) if q is None else q
+        uncertainty = self.uncertainty(
+            values, target=target, group=group, non_geometric=non_geometric
+        )
+        return budgets.Budget.of(uncertainty)
 
     def tip_poses(
         self, q: ArrayLike, *, payload: Payload | None = None, moves: ArrayLike | None = None

@@ -213,6 +213,7 @@ _LAYOUT: JsonLayout = JsonLayout(
             "method": "",
             "optics": "",
             "source": "inputs.measurements.",
+            "stated_uncertainty": "inputs.uncertainty",
         },
         FittedModel: {
             "kinematics": None,  # follows from the model, the setup and x
@@ -233,10 +234,11 @@ _LAYOUT: JsonLayout = JsonLayout(
             "board": "expected.board",
             "validation_board": "expected.validation_board",
             "undetermined": "expected.undetermined_rms_m",
+            "scatter": "noise.rows",
         },
         Setup: {"internals": "optics"},
         Parameter: {"internal": "optic"},
-        NonGeometric: {"prior_std": _PRIOR_STD, "gravity": "gravity_m_s2"},
+        NonGeometric: {"prior_std": _PRIOR_STD, "gravity": "gravity_m_s2", "scatter": "scatter"},
         ResultRows: {
             "numbers": "rows.numbers",
             "sets": "rows.sets",

@@ -32,6 +32,8 @@ from calib.numerics.errors import CrossValidation, interval_factor, rms
 from calib.numerics.moves import last_moves
 from calib.numerics.rigid_motion import best_motion, displacements_by, without_rigid_motion
 from calib.result.board_errors import BoardErrors, board_errors
+from calib.result.parts import Noise
+from calib.result.row_scatter import RowScatter
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
@@ -119,6 +121,8 @@ class FittedModel(Value):
     validation_board: BoardErrors | None = None
     #: Error over the joint limits that families of errors add whose sizes the rows do not determine [m]
     undetermined: float = 0.0
+    #: Scatter of the rows about the prediction; None in files of earlier versions
+    scatter: RowScatter | None = None
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None = None
 
@@ -132,6 +136,7 @@ class FittedModel(Value):
         fitted: Fitted,
         observability: Observability,
         cross_validation: CrossValidation | None,
+        noise: Noise,
         **attributes: Any,  # noqa: ANN401  of the class
     ) -> AnyModel:
         """Describe a fit.
@@ -140,6 +145,7 @@ class FittedModel(Value):
             fitted: The fit of the geometry, or of a non-geometric model.
             observability: Which of its parameters the fitted rows determine.
             cross_validation: Its cross-validation; None if there was none.
+            noise: The noise of the table.
             **attributes: Those of `NonGeometric` that a fit does not have.
 
         Returns:
@@ -174,6 +180,7 @@ class FittedModel(Value):
             scale=scale,
             extrapolation=extrapolation(fitted),
             board=board,
+            scatter=RowScatter.of(fitted, cross_validation, board, noise),
             **attributes,
         )
 

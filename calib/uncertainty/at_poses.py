@@ -1,9 +1,33 @@
 """Uncertainty of the pose that a calibrated robot reaches, at each of some poses, by its sources.
 
-The error of a predicted pose at joint values q is the sum of independent parts, each with a covariance of the six
-displacements [m, rad] along and about the axes of the frame in which the pose is predicted:
+The measurand is where the target truly is when the robot has arrived once at the given joint readings q, minus where
+the model predicts it, in the measurement frame or in the base. Its error is the sum of independent parts, each with a
+covariance of the six displacements [m, rad] along and about the axes of the frame in which the pose is predicted:
 
     V(q) = sum over sources of V_s(q)
+
+With the derivatives J of the pose by the parameters, their covariance C, and J_q by the joint readings the parts are
+
+    instrument     J (C_r - C_r P C_r) J^T     noise of the rows, through the fit; C_r: frame and target known
+    undetermined   J C_r P C_r J^T + u^2       what the rows leave to the priors, of precision P; u: families of errors
+                                               whose sizes the rows do not tell
+    target         J (C_f - C_r) J^T           what knowing the target would take off; C_f: frame known
+    frame          J (C - C_f) J^T             what knowing the frame would take off
+    scale          J g g^T J^T s^2             lengths of the instrument that are off by the share s
+    repeatability  r^2 I                       scatter of arrivals at one pose
+    model          m^2 I + (f - 1) (...)       what the model lacks, at the measured poses and beyond them
+    lost_motion    J_q J_q^T b^2 / 3           as stated
+    resolution     J_q J_q^T d^2 / 12          steps of the readings, as stated
+    drift          t^2 I                       between series, as stated
+    temperature    a^2 E[(T - T_0)^2] p p^T    growth of the arm, p from base to target, as stated
+
+Scatter of the fitted rows about the prediction (`calib.result.row_scatter`) is what r^2 and m^2 are taken from. The
+noise of the instrument is in it, and is no error of the robot: what is stated of it is taken off (`variance_beyond`),
+and so are the parts that are stated above. If nothing is stated, and repeats tell nothing, all of it counts as the
+robot's, and `PoseUncertainty.separated` is False.
+
+Beyond the measured poses errors that the model lacks do not average out: what the covariance adds there to the variance
+is multiplied by `FittedModel.extrapolation`, or increased by `FittedModel.undetermined`, whichever is more.
 
 Its expanded uncertainty is the length that the error of the position, or the angle that the error of the orientation,
 stays below with the probability that k = 2 stands for (`calib.uncertainty.coverage`), with the effective degrees of
@@ -12,17 +36,25 @@ freedom of Welch and Satterthwaite (JCGM 100, G.4).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
+from calib.model.error_model import FRAME, TARGET
 from calib.model.kinematics import Samples
 from calib.numerics.errors import rms
 from calib.result.calibration import Calibration
+from calib.result.fitted_model import FittedModel
+from calib.result.row_scatter import joint_twists
+from calib.uncertainty.beyond import variance_beyond
 from calib.uncertainty.coverage import covered_length
+
+#: Directions of a pose: three of the position, three of the orientation.
+_POSITION, _ORIENTATION = slice(0, 3), slice(3, 6)
 
 
 class Source(Enum):
@@ -67,33 +99,36 @@ class PoseUncertainty(Value):
 
     #: Shape (N, 4, 4), the predicted poses [m]
     poses: Array
-    #: The parts, independent of each other
+    #: The parts, independent of each other, one a source
     contributions: tuple[Contribution, ...]
+    #: False if nothing separates the instrument's noise from the robot's errors: all of it counts as the robot's
+    separated: bool = True
 
     @property
     def covariance(self) -> Array:
         """Sum of the parts, shape (N, 6, 6) [m, rad]."""
-        return np.asarray(sum(part.covariance for part in self.contributions))
+        none = np.zeros((len(self.poses), 6, 6))
+        return np.asarray(sum((part.covariance for part in self.contributions), none))
 
     @property
     def position_std(self) -> Array:
         """Combined standard uncertainty of the position, the root of the sum over three axes, shape (N,) [m]."""
-        return _std(self.covariance, slice(0, 3))
+        return _std(self.covariance, _POSITION)
 
     @property
     def orientation_std(self) -> Array:
         """Combined standard uncertainty of the orientation, shape (N,) [rad]."""
-        return _std(self.covariance, slice(3, 6))
+        return _std(self.covariance, _ORIENTATION)
 
     @property
     def position_freedom(self) -> Array:
         """Effective degrees of freedom of the position, shape (N,)."""
-        return self._freedom(slice(0, 3))
+        return self._freedom(_POSITION)
 
     @property
     def orientation_freedom(self) -> Array:
         """Effective degrees of freedom of the orientation, shape (N,)."""
-        return self._freedom(slice(3, 6))
+        return self._freedom(_ORIENTATION)
 
     @property
     def position(self) -> Array:
@@ -104,6 +139,21 @@ class PoseUncertainty(Value):
     def orientation(self) -> Array:
         """Expanded uncertainty of the orientation: the angle that its error stays below, shape (N,) [rad]."""
         return covered_length(self.covariance[:, 3:, 3:], self.orientation_freedom)
+
+    def without(self, *sources: Source, share: float = 0.0) -> PoseUncertainty:
+        """Return the uncertainty if the variance of some sources were a share of what it is.
+
+        Args:
+            *sources: The sources.
+            share: Between 0 (they are removed) and 1; of four times as many rows a quarter of the instrument's.
+        """
+        parts = []
+        for part in self.contributions:
+            if part.source in sources and share > 0.0:
+                parts.append(replace(part, covariance=read_only(share * part.covariance)))
+            elif part.source not in sources:
+                parts.append(part)
+        return replace(self, contributions=tuple(parts))
 
     def _freedom(self, part: slice) -> Array:
         """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite."""
@@ -136,29 +186,267 @@ def uncertainty_at(
     Returns:
         The uncertainty of each pose.
     """
-    part = result.part(non_geometric=non_geometric)
-    poses, twists = part.twists(samples, in_base=in_base)
-    by_rows = twists @ part.covariance @ twists.transpose(0, 2, 1)
-    grown = (twists @ part.change_by_scale)[:, :, None]
-    lacking = np.zeros((6, 6))
-    validation = part.cross_validation
-    if validation is not None and validation.errors_without_outliers["m"].n:
-        left = validation.errors_without_outliers["m"].rms ** 2 - part.noise_measured**2
-        lacking[:3, :3] = max(left, 0.0) / 3.0 * np.eye(3)
-    freedom = result.noise.freedom
+    model = result.part(non_geometric=non_geometric)
+    poses, twists = model.twists(samples, in_base=in_base)
+    arrivals = arrivals_of(result, model)
     parts = (
-        Contribution(Source.INSTRUMENT, read_only(by_rows), Distribution.NORMAL, freedom),
-        Contribution(
-            Source.SCALE, read_only(grown @ grown.transpose(0, 2, 1)), Distribution.NORMAL, np.inf
-        ),
-        Contribution(
-            Source.MODEL,
-            read_only(np.broadcast_to(lacking, by_rows.shape)),
-            Distribution.NORMAL,
-            freedom,
-        ),
+        *_of_parameters(result, model, twists),
+        *_of_arrivals(arrivals, len(poses)),
+        *_of_joints(result, model, samples, in_base=in_base),
+        *_of_temperature(result, model, samples, poses, twists, in_base=in_base),
     )
-    return PoseUncertainty(read_only(poses), parts)
+    shown = [part for part in _by_source(parts) if np.any(part.covariance)]
+    return PoseUncertainty(read_only(poses), tuple(shown), arrivals.separated)
+
+
+# What the fit determined
+
+
+def parameter_covariances(model: FittedModel) -> dict[Source, Array]:
+    """Split the covariance of the parameters of a model into parts that add up to it.
+
+    Args:
+        model: The fitted model, of p parameters.
+
+    Returns:
+        Positive semidefinite parts, shape (p, p), of the instrument, the priors (`Source.UNDETERMINED`), the target and
+        the frame; the module's text has the equations.
+    """
+    C = model.covariance
+    parts = {}
+    for source, family in ((Source.FRAME, FRAME), (Source.TARGET, TARGET)):
+        own = model.model.family(family)
+        across = C[:, own]
+        known = across @ np.linalg.pinv(C[np.ix_(own, own)], hermitian=True) @ across.T
+        parts[source] = known
+        C = C - known
+    prior_std = np.array([parameter.prior_std for parameter in model.parameters])
+    precision = np.where(model.model.of_robot & (prior_std > 0.0), prior_std, np.inf) ** -2.0
+    root = C * np.sqrt(precision)
+    parts[Source.UNDETERMINED] = root @ root.T
+    parts[Source.INSTRUMENT] = C - parts[Source.UNDETERMINED]
+    return parts
+
+
+def _of_parameters(
+    result: Calibration, model: FittedModel, twists: Array
+) -> Iterator[Contribution]:
+    """Yield the parts that the parameters' uncertainty is of at derivatives of poses, (N, 6, p)."""
+    freedom = result.noise.freedom
+    total = np.zeros((len(twists), 6, 6))
+    for source, C in parameter_covariances(model).items():
+        covariance = _symmetric(twists @ C @ twists.transpose(0, 2, 1))
+        total = total + covariance
+        if source is Source.UNDETERMINED:
+            yield _part(source, covariance, Distribution.NORMAL, np.inf)
+        else:
+            yield _part(source, covariance, Distribution.STUDENT, freedom)
+
+    scale = model.scale
+    if scale is not None and scale.size > 0.0:
+        grown = (twists @ model.change_by_scale)[:, :, None]
+        yield _part(
+            Source.SCALE,
+            grown @ grown.transpose(0, 2, 1),
+            Distribution.STUDENT,
+            scale.freedom_of_size,
+        )
+
+    # Beyond the measured poses, in proportion to what the covariance adds there.
+    variance = _std(total, _POSITION) ** 2
+    beyond = np.maximum(variance - model.noise_measured**2, 0.0)
+    everywhere = model.expected_everywhere**2 - model.scale_everywhere**2 - model.noise_measured**2
+    by_model = (model.extrapolation - 1.0) * beyond
+    by_families = np.zeros(len(beyond))
+    if everywhere > 0.0:
+        by_families = model.undetermined**2 * beyond / everywhere
+    of_model = by_model >= by_families
+    for source, added in (
+        (Source.MODEL, np.where(of_model, by_model, 0.0)),
+        (Source.UNDETERMINED, np.where(of_model, 0.0, by_families)),
+    ):
+        share = np.where(variance > 0.0, added / np.where(variance > 0.0, variance, 1.0), 0.0)
+        yield _part(source, share[:, None, None] * total, Distribution.NORMAL, np.inf)
+
+
+# What each arrival adds
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """Variances of a coordinate [m^2] and of a turn about an axis [rad^2] at each arrival of the robot, as pairs."""
+
+    repeatability: tuple[float, float]
+    repeatability_freedom: tuple[float, float]
+    #: What the model lacks at the measured poses
+    model: tuple[float, float]
+    model_freedom: tuple[float, float]
+    drift: float
+    #: Whether the instrument's noise is told from the robot's errors
+    separated: bool
+
+
+def arrivals_of(result: Calibration, model: FittedModel) -> Arrivals:
+    """Return what each arrival of the robot adds to the error of a predicted pose.
+
+    Args:
+        result: The calibration.
+        model: Its model that predicts.
+    """
+    stated = result.stated_uncertainty
+    rows = model.scatter
+    repeatability, of_repeatability = [0.0, 0.0], [np.inf, np.inf]
+    lacking, of_lacking = [0.0, 0.0], [np.inf, np.inf]
+    if rows is None:
+        return Arrivals((0.0, 0.0), (np.inf, np.inf), (0.0, 0.0), (np.inf, np.inf), 0.0, True)
+    by_joints = rows.by_joints @ _joint_variances(result)
+    separated = True
+    for k in range(2):
+        is_known = np.isfinite(rows.instrument[k])
+        instrument = float(rows.instrument[k]) if is_known else 0.0
+        if k == 0 and stated.repeatability > 0.0:
+            repeatability[k] = stated.repeatability**2
+        elif np.isfinite(rows.within[k]):
+            repeatability[k], of_repeatability[k] = variance_beyond(
+                float(rows.within[k]), float(rows.within_freedom[k]), instrument
+            )
+        if np.isfinite(rows.total[k]):
+            other = instrument + repeatability[k] + float(by_joints[k])
+            lacking[k], of_lacking[k] = variance_beyond(
+                float(rows.total[k]), float(rows.freedom[k]), other
+            )
+            separated = separated and is_known
+    return Arrivals(
+        (repeatability[0], repeatability[1]),
+        (of_repeatability[0], of_repeatability[1]),
+        (lacking[0], lacking[1]),
+        (of_lacking[0], of_lacking[1]),
+        stated.drift**2,
+        separated,
+    )
+
+
+def _of_arrivals(arrivals: Arrivals, count: int) -> Iterator[Contribution]:
+    """Yield the parts that are the same at all of so many poses."""
+    for source, variances, freedoms in (
+        (Source.REPEATABILITY, arrivals.repeatability, arrivals.repeatability_freedom),
+        (Source.MODEL, arrivals.model, arrivals.model_freedom),
+        (Source.DRIFT, (arrivals.drift, 0.0), (np.inf, np.inf)),
+    ):
+        diagonal = np.repeat(variances, 3)
+        covariance = np.broadcast_to(np.diag(diagonal), (count, 6, 6))
+        freedom = freedoms[0] if variances[0] > 0.0 else freedoms[1]
+        is_estimated = np.isfinite(freedom)
+        yield _part(
+            source,
+            covariance,
+            Distribution.STUDENT if is_estimated else Distribution.NORMAL,
+            freedom,
+        )
+
+
+def _joint_variances(result: Calibration) -> Array:
+    """Return the variance of each joint about its reading by what is stated, (m,), of all parts together."""
+    resolution, lost_motion = _stated_joint_limits(result)
+    return np.asarray((resolution**2 + lost_motion**2) / 3.0)
+
+
+def _stated_joint_limits(result: Calibration) -> tuple[Array, Array]:
+    """Return half the step of each joint's reading, and its largest lost motion either way, (m,) each [rad] or [m]."""
+    stated = result.stated_uncertainty
+    slides = np.array([joint.type == "prismatic" for joint in result.nominal.inputs])
+    half_step = np.where(slides, stated.resolution_sliding, stated.resolution) / 2.0
+    return half_step, np.where(slides, 0.0, stated.lost_motion)
+
+
+def _of_joints(
+    result: Calibration, model: FittedModel, samples: Samples, *, in_base: bool
+) -> Iterator[Contribution]:
+    """Yield the parts by which joints stand beside their readings."""
+    limits = _stated_joint_limits(result)
+    if not np.any(limits):
+        return
+    J = joint_twists(model.kinematics, model.x, samples)
+    if in_base:
+        R = model.setup.T_frame_base[samples.frame][:, :3, :3].transpose(0, 2, 1)
+        J = np.concatenate([R @ J[:, :3], R @ J[:, 3:]], axis=1)
+    for source, limit in zip((Source.RESOLUTION, Source.LOST_MOTION), limits, strict=True):
+        covariance = (J * (limit**2 / 3.0)) @ J.transpose(0, 2, 1)
+        yield _part(source, covariance, Distribution.UNIFORM, np.inf)
+
+
+def mean_square_temperature(result: Calibration) -> float:
+    """Return the mean square of the temperature at work about that of the measurement [K^2], over the stated range."""
+    stated, measured = result.stated_uncertainty.temperature, result.record.temperature_C
+    if not stated:
+        return 0.0
+    low, high = stated
+    at = float(np.mean(measured)) if measured else (low + high) / 2.0
+    return (high - low) ** 2 / 12.0 + ((low + high) / 2.0 - at) ** 2
+
+
+def _of_temperature(
+    result: Calibration,
+    model: FittedModel,
+    samples: Samples,
+    poses: Array,
+    twists: Array,
+    *,
+    in_base: bool,
+) -> Iterator[Contribution]:
+    """Yield the part that the growth of arm and instrument is of."""
+    stated = result.stated_uncertainty
+    covariance = np.zeros((len(poses), 6, 6))
+    from_base = np.zeros((len(poses), 6, 1))
+    origin = np.zeros(3) if in_base else model.setup.T_frame_base[samples.frame][:, :3, 3]
+    from_base[:, :3, 0] = poses[:, :3, 3] - origin
+    growth = stated.arm_expansion**2 * mean_square_temperature(result)
+    covariance = covariance + growth * (from_base @ from_base.transpose(0, 2, 1))
+    measured = result.record.temperature_C
+    if len(measured) > 1 and model.scale is not None:
+        grown = (twists @ model.scale.growth)[:, :, None]
+        of_lengths = stated.instrument_expansion**2 * (measured[1] - measured[0]) ** 2 / 12.0
+        covariance = covariance + of_lengths * (grown @ grown.transpose(0, 2, 1))
+    yield _part(Source.TEMPERATURE, covariance, Distribution.UNIFORM, np.inf)
+
+
+# Parts
+
+
+def _part(
+    source: Source, covariance: Array, distribution: Distribution, freedom: float
+) -> Contribution:
+    """Return a part, whose covariance nobody changes."""
+    return Contribution(source, read_only(np.array(covariance)), distribution, float(freedom))
+
+
+def _symmetric(covariance: Array) -> Array:
+    """Return covariances, (N, 6, 6), without what rounding makes of their diagonals and of their symmetry."""
+    result = (covariance + covariance.transpose(0, 2, 1)) / 2.0
+    diagonal = np.einsum("nii->ni", result)
+    diagonal[...] = np.maximum(diagonal, 0.0)
+    return np.asarray(result)
+
+
+def _by_source(parts: tuple[Contribution, ...]) -> list[Contribution]:
+    """Return the parts with those of one source added up, in the order of `Source`.
+
+    Their distribution is that of the larger one, and their degrees of freedom are by Welch and Satterthwaite.
+    """
+    result = []
+    for source in Source:
+        own = [part for part in parts if part.source is source]
+        if not own:
+            continue
+        sizes = np.array([np.mean(_std(part.covariance, _POSITION) ** 2) for part in own])
+        if not np.any(sizes):
+            sizes = np.array([np.mean(_std(part.covariance, _ORIENTATION) ** 2) for part in own])
+        covariance = np.sum([part.covariance for part in own], axis=0)
+        leading = own[int(np.argmax(sizes))]
+        shares = float(np.sum(sizes**2 / np.array([part.freedom for part in own])))
+        freedom = float(np.sum(sizes)) ** 2 / shares if shares > 0.0 else np.inf
+        result.append(_part(source, covariance, leading.distribution, freedom))
+    return result
 
 
 def rms_over_poses(uncertainty: PoseUncertainty) -> tuple[float, float]:

@@ -1,14 +1,34 @@
-"""The uncertainty budget (JCGM 100): what each source adds to the uncertainty over a set of poses."""
+"""The uncertainty budget (JCGM 100): what each source adds to the uncertainty over a set of poses, and what would help.
+
+Squares are averaged over the poses, so that the lines add up to the whole. The expanded uncertainty of the whole is the
+root mean square of that of each pose; `Budget.without` is the same if a source were not there, with the degrees of
+freedom that the others have then.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
+from scipy.optimize import brentq
 
-from calib.basics.values import Value
+from calib.basics.arrays import Array
+from calib.basics.values import ReadOnlyMapping, Value, keep_read_only
 from calib.numerics.errors import rms
+from calib.result.calibration import Calibration
+from calib.robot.ranges import SPREAD, spread_between, spread_poses
 from calib.uncertainty.at_poses import Distribution, PoseUncertainty, Source
+
+#: Sources that more rows of the same kind reduce, in proportion to their number.
+BY_ROWS = (Source.INSTRUMENT, Source.TARGET, Source.FRAME)
+
+#: The share of the whole that is aimed at.
+_HALF = 0.5
+
+#: The most times as many rows that are worth a word.
+_MOST_ROWS = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +62,29 @@ class Budget(Value):
     freedom: float
     #: Number of poses
     poses: int
+    #: False if nothing separates the instrument's noise from the robot's errors: all of it counts as the robot's
+    separated: bool = True
+    #: Expanded uncertainty of the position that would be left without each source [m]
+    without: Mapping[Source, float] = field(default_factory=ReadOnlyMapping)
+    #: The fewest sources without which half the expanded uncertainty of the position is left, or less, the first of
+    #: them the largest; empty without poses
+    halving: tuple[Source, ...] = ()
+    #: How many times as many rows halve it; infinite if no number does
+    rows_factor: float = np.inf
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the mapping."""
+        keep_read_only(self, "without")
 
     @property
     def factor(self) -> float:
         """Coverage factor k of the position: expanded over combined standard uncertainty."""
         return self.position / self.position_std if self.position_std > 0.0 else np.nan
+
+    @property
+    def dominant(self) -> Source | None:
+        """The source with the largest share; None if nothing is uncertain."""
+        return self.lines[0].source if self.lines else None
 
     @classmethod
     def of(cls, uncertainty: PoseUncertainty) -> Budget:
@@ -71,6 +109,7 @@ class Budget(Value):
                     )
                 )
         lines.sort(key=lambda line: -line.share)
+        sources = tuple(line.source for line in lines)
         return cls(
             lines=tuple(lines),
             position_std=total,
@@ -79,4 +118,56 @@ class Budget(Value):
             orientation=rms(uncertainty.orientation),
             freedom=float(np.median(uncertainty.position_freedom)),
             poses=len(uncertainty.poses),
+            separated=uncertainty.separated,
+            without={source: rms(uncertainty.without(source).position) for source in sources},
+            halving=_halving(uncertainty, sources),
+            rows_factor=_rows_factor(uncertainty),
         )
+
+
+def budget_poses(result: Calibration, *, everywhere: bool = False) -> Array:
+    """Return the joint values over which a budget is averaged if none are given.
+
+    Args:
+        result: The calibration.
+        everywhere: False for values spread evenly over the measured ranges of the joints, True for the joint limits.
+
+    Returns:
+        Shape (200, m), [rad] or [m].
+    """
+    ranges = result.rows.ranges
+    if everywhere or not np.all(ranges[:, 0] <= ranges[:, 1]):
+        return spread_poses(result.nominal)
+    return spread_between(ranges, SPREAD)
+
+
+def _halving(uncertainty: PoseUncertainty, sources: tuple[Source, ...]) -> tuple[Source, ...]:
+    """Return the fewest sources, given with the largest first, without which half of U is left, or less.
+
+    Of several sets of as many sources it is the one that leaves least.
+    """
+    half = _HALF * rms(uncertainty.position)
+    for count in range(1, len(sources) + 1):
+        left = {
+            chosen: rms(uncertainty.without(*chosen).position)
+            for chosen in combinations(sources, count)
+        }
+        best = min(left, key=left.__getitem__)
+        if left[best] <= half:
+            return best
+    return ()
+
+
+def _rows_factor(uncertainty: PoseUncertainty) -> float:
+    """Return how many times as many rows halve U; infinite if not even a hundred times as many do."""
+    whole = rms(uncertainty.position)
+
+    def excess(logarithm: float) -> float:
+        """What is left over half of it, with so many times as many rows."""
+        left = uncertainty.without(*BY_ROWS, share=float(np.exp(-logarithm)))
+        return rms(left.position) - _HALF * whole
+
+    most = float(np.log(_MOST_ROWS))
+    if whole <= 0.0 or excess(most) > 0.0:
+        return np.inf
+    return float(np.exp(brentq(excess, 0.0, most, xtol=1e-3)))
