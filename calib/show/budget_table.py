@@ -6,13 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.result.calibration import Calibration
-from calib.robot.ranges import SPREAD, column_ranges, spread_between
 from calib.show.blocks import EVERYWHERE, Medium
 from calib.show.lines import deg, listed, mm, number
 from calib.show.tables import Column, Row, Table, name_column
 from calib.uncertainty.at_poses import Source
-from calib.uncertainty.budget import Budget, BudgetLine
+from calib.uncertainty.budget import Budget
 from calib.uncertainty.coverage import PROBABILITY
 
 #: The sources in words, as they stand in tables.
@@ -25,7 +23,7 @@ SOURCES = {
     Source.LOST_MOTION: "lost motion",
     Source.DRIFT: "drift between series",
     Source.MODEL: "what the model lacks",
-    Source.UNDETERMINED: "errors that no row determines",
+    Source.UNDETERMINED: "what the rows leave open",
     Source.RESOLUTION: "resolution of the joint readings",
     Source.TEMPERATURE: "temperature",
 }
@@ -45,8 +43,8 @@ _REMEDIES = {
     Source.TEMPERATURE: "a stated, steady temperature",
 }
 
-#: Parts are named that halve the whole if they become at most this many times smaller: more is no advice.
-_MOST_TIMES = 4.0
+#: From so many degrees of freedom on a size counts as known: Student's t differs from the normal distribution by 0.01 %.
+_KNOWN = 1e4
 
 
 def budget_table(budget: Budget, *, angles: bool = True, on: Medium = EVERYWHERE) -> Table:
@@ -75,12 +73,12 @@ def budget_table(budget: Budget, *, angles: bool = True, on: Medium = EVERYWHERE
             line.position,
             line.orientation,
             line.distribution.value,
-            number(line.freedom, 0),
+            _freedom(line.freedom),
             f"{100.0 * line.share:.0f} %",
         )
         for line in budget.lines
     ]
-    whole = number(budget.freedom, 0)
+    whole = _freedom(budget.freedom)
     rows.append(row("combined", budget.position_std, budget.orientation_std, "", whole, "100 %"))
     rows.append(row("expanded, U (95.45 %)", budget.position, budget.orientation, "", "", ""))
     count = len(rows)
@@ -96,64 +94,42 @@ def budget_table(budget: Budget, *, angles: bool = True, on: Medium = EVERYWHERE
     )
 
 
+def _freedom(freedom: float) -> str:
+    """Write degrees of freedom; a dash for so many that the size is as good as known."""
+    return number(freedom if freedom < _KNOWN else np.inf, 0)
+
+
 def budget_sentences(budget: Budget, *, angles: bool = True) -> Iterator[str]:
     """Say what U is, over which poses, which part dominates, and what would halve it.
 
     Args:
-        budget: The budget.
+        budget: The budget, over poses within the measured joint ranges.
         angles: Whether orientations are said.
     """
     size = f"{mm(budget.position)} mm"
     if angles:
         size += f" and {deg(budget.orientation)} deg"
     yield (
-        f"U = {size} within the measured joint ranges, rms over {budget.poses} poses: errors of the target stay below "
-        f"with {100.0 * PROBABILITY:.2f} %, the probability of k = 2 along one axis; in space it is "
+        f"U = {size} within the measured joint ranges, rms over {budget.poses} poses: the target stays nearer to its "
+        f"prediction with {100.0 * PROBABILITY:.2f} %, as k = 2 has it along one axis. In space U is "
         f"{budget.factor:.2f} u."
     )
-    if not budget.lines:
-        return
-    first = budget.lines[0]
-    text = f"Largest part: {SOURCES[first.source]} ({100.0 * first.share:.0f} %)."
-    parts, times = halving(budget)
-    if parts:
-        named = [f"{SOURCES[line.source]} (by {_REMEDIES[line.source]})" for line in parts]
-        text += f" U is halved if it becomes {times:.1f} times smaller"
-        if len(parts) > 1 or parts[0] is not first:
-            text = text.replace("if it becomes", f"if {len(parts)} parts become")
-        text += f": {listed(named)}."
-    yield text
-
-
-def halving(budget: Budget) -> tuple[tuple[BudgetLine, ...], float]:
-    """Find the fewest of the largest parts that halve the whole, and how many times smaller they have to be.
-
-    Parts with the share S of the variance, each f times smaller, leave 1 - S + S / f^2 of it, a quarter if
-    f = sqrt(S / (S - 3/4)).
-
-    Args:
-        budget: The budget.
-
-    Returns:
-        The parts and f, at most 4; none and infinity without a variance.
-    """
-    least_share = 0.75 / (1.0 - _MOST_TIMES**-2)
-    share = 0.0
-    for count, line in enumerate(budget.lines, start=1):
-        share += line.share
-        if share >= least_share:
-            return budget.lines[:count], float(np.sqrt(share / (share - 0.75)))
-    return (), np.inf
-
-
-def budget_of(result: Calibration) -> Budget:
-    """Return the budget of the corrected URDF over poses spread within the measured joint ranges.
-
-    Args:
-        result: The calibration, made here or read from its file.
-    """
-    ranges = result.rows.ranges
-    if not np.isfinite(ranges).all():
-        ranges = column_ranges(result.nominal)
-    q = result.nominal.readings(spread_between(ranges, SPREAD))
-    return Budget.of(result.uncertainty(q, non_geometric=False))
+    if budget.dominant is not None:
+        text = f"Largest part: {SOURCES[budget.dominant]} ({100.0 * budget.lines[0].share:.0f} %)."
+        ways = []
+        if budget.halving:
+            names = listed([SOURCES[source] for source in budget.halving])
+            ways.append(f"without {names}")
+        if np.isfinite(budget.rows_factor):
+            ways.append(f"with {budget.rows_factor:.1f} times as many rows")
+        if ways:
+            text += f" Half of U, or less, is left {', or '.join(ways)}."
+        remedies = [_REMEDIES[source] for source in budget.halving[:2]]
+        if remedies:
+            text += f" What reduces it: {'; '.join(remedies)}."
+        yield text
+    if not budget.separated:
+        yield (
+            "Nothing states the instrument's noise, so all scatter of the rows counts as the robot's: state it in the "
+            "cell file or the table, or measure poses repeatedly."
+        )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calib.result.calibration import Calibration
-from calib.show.budget_table import SOURCES, budget_of
+from calib.show.budget_table import SOURCES
 from calib.show.look import CALIBRATED
 from calib.show.plotting import new_figure
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def shares(c: Calibration) -> Figure:
     """Draw the share of each part of the budget in the variance of the position, with its standard uncertainty."""
-    lines = budget_of(c).lines
+    lines = c.budget(non_geometric=False).lines
     figure = new_figure(0.3 * len(lines) + 0.9)
     ax = figure.subplots()
     look: dict[str, Any] = {"color": CALIBRATED, "ec": "white", "height": 0.66}

@@ -42,7 +42,7 @@ from calib.show.blocks import (
     Verdict,
     report_date,
 )
-from calib.show.budget_table import budget_of, budget_sentences, budget_table
+from calib.show.budget_table import budget_sentences, budget_table
 from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn, ErrorRow, error_table, error_title
 from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import deg, mm, plural, times
@@ -328,7 +328,7 @@ def _uncertainty(c: Calibration) -> Iterator[Block]:
     """Tabulate the uncertainty budget of the corrected URDF, and word what it means; nothing if it is not known."""
     if texts.unknown_accuracy(c):
         return
-    budget = budget_of(c)
+    budget = c.budget(non_geometric=False)
     angles = "rad" in c.rows.channels.present
     yield budget_table(budget, angles=angles)
     yield Bullets(list(budget_sentences(budget, angles=angles)), tight=True)
