@@ -354,9 +354,7 @@ def run_pictures(seed: int) -> Calibrated:
         board_points=BOARD.corners[pictures.corner],
         readings={"u": pictures.pixels[:, 0], "v": pictures.pixels[:, 1]},
     )
-    result = calibrate(
-        robot, table, cell=Cell(cameras={"": CAMERA}, boards={"": BOARD})
-    )
+    result = calibrate(robot, table, cell=Cell(cameras={"": CAMERA}, boards={"": BOARD}))
     fresh = points_of(table.joints, robot, rng)
     T_true = virtual.truth.tip_poses(fresh) @ virtual.truth.T_tip_target[0]
     return judged(result, fresh, T_true, in_base=True)
@@ -394,9 +392,16 @@ def line_of(seed: int, cell: Calibrated, seconds: float) -> dict[str, object]:
         "near": float(np.mean(holds[near])),
         "far": float(np.mean(holds[far])),
         "error": [float(np.sqrt(np.mean(length[where] ** 2))) for where in (near, far)],
-        "stated": [float(np.sqrt(np.mean(cell.uncertainty.position_std[where] ** 2))) for where in (near, far)],
-        "U": [float(np.sqrt(np.mean(cell.uncertainty.position[where] ** 2))) for where in (near, far)],
-        "angle": float(np.mean(cell.angle <= cell.uncertainty.orientation)) if len(cell.angle) else None,
+        "stated": [
+            float(np.sqrt(np.mean(cell.uncertainty.position_std[where] ** 2)))
+            for where in (near, far)
+        ],
+        "U": [
+            float(np.sqrt(np.mean(cell.uncertainty.position[where] ** 2))) for where in (near, far)
+        ],
+        "angle": float(np.mean(cell.angle <= cell.uncertainty.orientation))
+        if len(cell.angle)
+        else None,
         "parts": parts,
         "use": "" if result.verdict is None else result.verdict.use,
         "model": result.part(non_geometric=True).model.name,

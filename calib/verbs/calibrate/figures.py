@@ -28,7 +28,6 @@ from calib.show.blocks import Drawing
 from calib.show.look import rows_text
 from calib.show.plotting import render, require_matplotlib, styled
 from calib.verbs.calibrate.seen_corners import image_rows
-from calib.verbs.calibrate.text import unknown_accuracy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,8 +99,8 @@ FIGURES: dict[str, FigureKind] = {
         model.singular_values, lambda c: c.trust.observability.columns > 0
     ),
     "candidates": FigureKind(model.candidates, lambda c: bool(c.method.candidates)),
-    "uncertainty-budget": FigureKind(budget.shares, lambda c: not unknown_accuracy(c)),
-    "workspace-uncertainty": FigureKind(space.uncertainty, _always),
+    "uncertainty-budget": FigureKind(budget.shares, lambda c: not c.unknown_accuracy),
+    "workspace-uncertainty": FigureKind(space.uncertainty, lambda c: not c.unknown_accuracy),
 }
 
 

@@ -326,7 +326,7 @@ def _facts(c: Calibration) -> Iterator[Block]:
 
 def _uncertainty(c: Calibration) -> Iterator[Block]:
     """Tabulate the uncertainty budget of the corrected URDF, and word what it means; nothing if it is not known."""
-    if texts.unknown_accuracy(c):
+    if c.unknown_accuracy:
         return
     budget = c.budget(non_geometric=False)
     angles = "rad" in c.rows.channels.present
