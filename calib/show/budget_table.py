@@ -43,7 +43,7 @@ _REMEDIES = {
     Source.TEMPERATURE: "a stated, steady temperature",
 }
 
-#: From so many degrees of freedom on a size counts as known: Student's t differs from the normal distribution by 0.01 %.
+#: From so many degrees of freedom on a size counts as known: Student's t is then the normal distribution to 0.01 %.
 _KNOWN = 1e4
 
 
