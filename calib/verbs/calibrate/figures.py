@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import yaml
 
+import calib.verbs.calibrate.figure_budget as budget
 import calib.verbs.calibrate.figure_coverage as coverage
 import calib.verbs.calibrate.figure_errors as errors
 import calib.verbs.calibrate.figure_images as images
@@ -23,7 +24,6 @@ import calib.verbs.calibrate.figure_space as space
 from calib.basics.files import make_folder, write_atomically
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.result.calibration import Calibration
-from calib.robot.ranges import SPREAD
 from calib.show.blocks import Drawing
 from calib.show.look import rows_text
 from calib.show.plotting import render, require_matplotlib, styled
@@ -99,7 +99,8 @@ FIGURES: dict[str, FigureKind] = {
         model.singular_values, lambda c: c.trust.observability.columns > 0
     ),
     "candidates": FigureKind(model.candidates, lambda c: bool(c.method.candidates)),
-    "workspace-uncertainty": FigureKind(space.uncertainty, _always),
+    "uncertainty-budget": FigureKind(budget.shares, lambda c: not c.unknown_accuracy),
+    "workspace-uncertainty": FigureKind(space.uncertainty, lambda c: not c.unknown_accuracy),
 }
 
 
@@ -119,7 +120,6 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
         "rows": rows,
         "estimation": estimation,
         "poses": f"{space.POSES:,}",
-        "spread": str(SPREAD),
         "curve_rows": f"the {rows_text(curves.mask, rows_kind)}, {relation}",
     }
     tried = calibration.method.candidates
