@@ -1,6 +1,6 @@
-"""A certificate as Digital Calibration Certificate (DCC): XML of the PTB's schema 3.2.1, with units of D-SI 2.1.0.
+r"""A certificate as Digital Calibration Certificate (DCC): XML of the PTB's schema 3.2.1, with units of D-SI 2.1.0.
 
-Each quantity is a list over the points in SI units (``\\metre``, ``\\radian``, ``\\one``), with the same digits as the
+Each quantity is a list over the points in SI units (``\metre``, ``\radian``, ``\one``), with the same digits as the
 JSON file, its repr. The element ``refType`` of each names it, ``calib_asFound`` and so on, with those of the PTB's good
 practice where there are any (``basic_temperature``).
 """
@@ -280,10 +280,10 @@ def _statements(c: Certificate) -> Element:
     listed.append(_validity(c))
     for unit, decision in c.decisions.items():
         listed.append(_conformity(c, unit, decision))
-    for gap in c.gaps:
-        listed.append(
-            _statement(f"calib_notTested calib_{gap.code.value}", "Not tested", gap_text(gap))
-        )
+    listed += [
+        _statement(f"calib_notTested calib_{gap.code.value}", "Not tested", gap_text(gap))
+        for gap in c.gaps
+    ]
     verdict = c.calibration.verdict_on(non_geometric=c.assessment.judged == "non_geometric")
     if verdict is not None:
         texts = [reason_text(reason) for reason in verdict.reasons]

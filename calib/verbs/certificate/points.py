@@ -5,11 +5,10 @@ found by the nominal robot, as left by the calibrated one. What is uncertain of 
 
     V = sigma^2 I / n + sum of V_s        over the sources s that the instrument and its set-up have
 
-with the standard deviation sigma of one scalar of a reading, and the sources of `calib.uncertainty.at_poses` without
-those of the robot (its repeatability, its lost motion, what its model lacks): these are what is measured. The noise of
-the rows that the calibration was fitted to is among them, because frame and target, in which the deviations are
-expressed, were found by these rows. U is the length that the error of the mean stays below
-(`calib.uncertainty.coverage`).
+with the standard deviation sigma of one scalar of a reading, and the sources of `calib.uncertainty.at_poses` that the
+measurement has too: scale, frame and target, in which the deviations are expressed, drift and temperature. Those of the
+robot (its parameters, its repeatability, what its model lacks) are what is measured. U is the length that the error of
+the mean stays below (`calib.uncertainty.coverage`).
 """
 
 from __future__ import annotations
@@ -32,7 +31,6 @@ from calib.verbs.evaluate.evaluation import Evaluation
 
 #: Sources that a measured deviation has too: those of the instrument and its set-up, not of the robot.
 MEASURING = (
-    Source.INSTRUMENT,
     Source.SCALE,
     Source.FRAME,
     Source.TARGET,
@@ -137,7 +135,7 @@ def reading_noise(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointRows(Value):
-    """The rows of a table that stand for the K points of a certificate, the first of each, as a result predicts them."""
+    """The rows of a table that stand for the K points of a certificate, the first of each, as a result has them."""
 
     #: The K poses
     poses: tuple[PoseAccuracy, ...]

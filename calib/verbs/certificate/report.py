@@ -67,7 +67,9 @@ def page(c: Certificate) -> Page:
         Section(lambda: [Bullets(_remarks(c), "Remarks:", "  ")], "Remarks"),
         Section(lambda: [Facts(_files(c, date))], "Files, versions, command", on=HTML, whole=True),
     )
-    return Page(_DOCUMENT, f"robot {robot_name(c.calibration.nominal)}", sections, date)
+    # Its number stands on every sheet (ISO/IEC 17025, 7.8.2.1).
+    document = " ".join(filter(None, (_DOCUMENT, c.record.certificate_number)))
+    return Page(document, f"robot {robot_name(c.calibration.nominal)}", sections, date)
 
 
 def _verdict(c: Certificate) -> Verdict:
@@ -181,8 +183,8 @@ def _validity(c: Certificate) -> Iterator[Block]:
     ]
     yield Facts(conditions)
     yield Paragraph(
-        "The results are those of this robot at the time of the measurement. Parts that are exchanged or zeros that are "
-        "set anew end the validity.",
+        "The results are those of this robot at the time of the measurement. Parts that are exchanged or zeros that "
+        "are set anew end the validity.",
         on=HTML,
     )
 

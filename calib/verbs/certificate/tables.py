@@ -49,10 +49,11 @@ def point_tables(c: Certificate) -> Iterator[Table]:
     """Tabulate the deviations at each point, a table for each unit."""
     for unit in c.units:
         shown = RESIDUAL_UNITS[unit]
-        rows: list[Row] = []
-        for point in c.points:
-            if unit in point.deviations:
-                rows.append((*_names(point), *_figures(point, unit)))
+        rows: list[Row] = [
+            (*_names(point), *_figures(point, unit))
+            for point in c.points
+            if unit in point.deviations
+        ]
         columns = (
             name_column("rows", 8),
             *(Column(f"{axis} [mm]", 8, unit="mm", digits=1) for axis in "xyz"),
@@ -103,23 +104,20 @@ def _freedom(freedom: float) -> str:
 
 def budget_table(c: Certificate) -> Table:
     """Tabulate the budget of the pose's uncertainty, over the points."""
-    rows: list[Row] = []
-    for line in c.budget.lines:
-        rows.append(
-            (
-                SOURCES[line.source],
-                line.position,
-                line.orientation,
-                DISTRIBUTIONS[line.distribution],
-                _freedom(line.freedom),
-                f"{100.0 * line.share:.0f} %",
-            )
+    rows: list[Row] = [
+        (
+            SOURCES[line.source],
+            line.position,
+            line.orientation,
+            DISTRIBUTIONS[line.distribution],
+            _freedom(line.freedom),
+            f"{100.0 * line.share:.0f} %",
         )
+        for line in c.budget.lines
+    ]
     total = c.budget
-    rows.append(
-        ("combined standard uncertainty", total.position_std, total.orientation_std, "",
-         _freedom(total.freedom), "100 %")
-    )  # fmt: skip
+    whole = (total.position_std, total.orientation_std, "", _freedom(total.freedom), "100 %")
+    rows.append(("combined standard uncertainty", *whole))
     rows.append(("expanded uncertainty U (95.45 %)", total.position, total.orientation, "", "", ""))
     columns = (
         name_column("source", 34),
