@@ -360,10 +360,13 @@ def certificate_of(
     found = assessment.accuracies.get("nominal")
     rows = point_rows(calibration, left, accurate.poses, non_geometric=non_geometric)
     by_unit: dict[str, list[Deviation | None]] = {}
+    estimated = []
     for unit in PARTS:
         if unit not in accurate.units:
             continue
         reading = reading_noise(calibration, cell, left, accurate.poses, unit)
+        if not reading.is_stated and unit not in stated:
+            estimated.append(unit)
         by_unit[unit] = deviations(
             rows, () if found is None else found.poses, unit, reading, stated.get(unit)
         )
@@ -393,7 +396,7 @@ def certificate_of(
         budget=Budget.of(rows.uncertainty),
         decisions=decisions,
         box=_box(calibration, points),
-        gaps=gaps(assessment, calibration, points, record),
+        gaps=gaps(assessment, calibration, points, record, estimated),
         stated={unit: value for unit, value in stated.items() if unit in by_unit},
         files=files,
         time=date_text(now()),

@@ -1,15 +1,16 @@
 r"""A certificate as Digital Calibration Certificate (DCC): XML of the PTB's schema 3.2.1, with units of D-SI 2.1.0.
 
 Each quantity is a list over the points in SI units (``\metre``, ``\radian``, ``\one``), with the same digits as the
-JSON file, its repr. The element ``refType`` of each names it, ``calib_asFound`` and so on, with those of the PTB's good
-practice where there are any (``basic_temperature``).
+JSON file, its repr. The attribute ``refType`` of each names it, ``calib_asFound`` and so on, with those of the PTB's
+good practice where there are any (``basic_temperature``). All quantities are numbers: readers such as pydcc fail on
+others. Degrees of freedom are left out if they are infinite, for which D-SI has no number.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -28,7 +29,7 @@ _DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
 _INSTANCE = "http://www.w3.org/2001/XMLSchema-instance"
 
 #: Units of D-SI by those of the certificate.
-_UNITS = {"m": r"\metre", "rad": r"\radian", "1": r"\one", "K": r"\kelvin"}
+_UNITS = {"m": r"\metre", "rad": r"\radian", "1": r"\one", "C": r"\degreecelsius", "%": r"\percent"}
 
 #: Entries of the record that a DCC must have.
 _NEEDED = (
@@ -40,9 +41,6 @@ _NEEDED = (
     "date",
     "robot_serial",
 )
-
-#: Kelvin of 0 °C.
-_ZERO_C = 273.15
 
 #: Characters that XML does not have.
 _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -141,9 +139,15 @@ def _real_list(
     unit: str,
     uncertainties: Sequence[float] = (),
     factors: Sequence[float] = (),
+    labels: Sequence[str] = (),
 ) -> Element:
-    """Return a list of real quantities of D-SI, with their expanded uncertainties and coverage factors if given."""
+    """Return a list of real quantities of D-SI, with expanded uncertainties and coverage factors, or labels, if given.
+
+    Labels are words without blanks.
+    """
     listed = Element("si:realListXMLList")
+    if labels:
+        listed.append(_si("labelXMLList", " ".join(labels)))
     listed.extend([_si("valueXMLList", _numbers(values)), _si("unitXMLList", _UNITS[unit])])
     if len(uncertainties):
         expanded = Element("si:expandedUncXMLList")
@@ -159,18 +163,13 @@ def _real_list(
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """Return numbers by their repr, separated by blanks; infinity as XML Schema writes it."""
-    return " ".join("INF" if value == math.inf else repr(float(value)) for value in values)
+    """Return numbers by their repr, separated by blanks."""
+    return " ".join(repr(float(value)) for value in values)
 
 
 def _quantity(name: str, ref: str, quantity: Element) -> Element:
     """Return a quantity with its name."""
     return _of("quantity", _text("name", name), quantity, ref=ref)
-
-
-def _chars(values: Iterable[str]) -> Element:
-    """Return a list of words without blanks."""
-    return _of("charsXMLList", " ".join(values))
 
 
 def _identification(issuer: str, value: str, name: str, ref: str = "") -> Element | None:
@@ -404,15 +403,14 @@ def _conditions(c: Certificate) -> list[Element]:
     """Return temperature and humidity as quantities, load, speed, warm-up, order and place in words."""
     record = c.record
     listed = []
-    ranges: tuple[tuple[str, str, tuple[float, ...], str, Callable[[float], float]], ...] = (
-        ("Air temperature", "basic_temperature", record.temperature_C, "K", lambda x: x + _ZERO_C),
-        ("Humidity", "basic_humidityRelative", record.humidity_percent, "1", lambda x: x / 100.0),
-    )
-    for name, ref, values, unit, to_si in ranges:
+    for name, ref, values, unit in (
+        ("Air temperature", "basic_temperature", record.temperature_C, "C"),
+        ("Humidity", "basic_humidityRelative", record.humidity_percent, "%"),
+    ):
         if values:
             ends = (("Min", min(values)), ("Max", max(values)))
             quantities = [
-                _quantity(f"{name}, {end}", f"{ref}{end}", _real(to_si(value), unit))
+                _quantity(f"{name}, {end}", f"{ref}{end}", _real(value, unit))
                 for end, value in ends
             ]
             data = _of("data", *quantities)
@@ -438,13 +436,15 @@ def _results(c: Certificate) -> list[Element]:
         of_unit = [point.deviations[unit] for point in points]
         uncertainties = [one.uncertainty for one in of_unit]
         factors = [one.factor for one in of_unit]
-        names = [f"row{point.rows[0]}" for point in points]
-        quantities = [_quantity("Point", "calib_point", _chars(names))]
+        first = _real_list([point.rows[0] for point in points], "1")
+        quantities = [_quantity("First row in the table", "calib_row", first)]
         for k, one in enumerate(c.box):
             values = [float(point.joints[k]) for point in points]
             quantities.append(
                 _quantity(
-                    one.joint, "calib_joint", _real_list(values, "m" if one.prismatic else "rad")
+                    one.joint,
+                    f"calib_joint{k + 1}",
+                    _real_list(values, "m" if one.prismatic else "rad"),
                 )
             )
         for axis, letter in enumerate("xyz"):
@@ -470,8 +470,12 @@ def _results(c: Certificate) -> list[Element]:
             quantities.append(
                 _quantity("Probability of conformity", "calib_conformanceProbability", likely)
             )
-        freedoms = _of("charsXMLList", _numbers(one.freedom for one in of_unit))
-        quantities.append(_quantity("Effective degrees of freedom", "calib_freedom", freedoms))
+        freedoms = [one.freedom for one in of_unit]
+        if all(map(math.isfinite, freedoms)):
+            listed_freedoms = _real_list(freedoms, "1")
+            quantities.append(
+                _quantity("Effective degrees of freedom", "calib_freedom", listed_freedoms)
+            )
         what = "positions" if unit == "m" else "orientations"
         data = _of("data", _of("list", *quantities, ref=f"calib_points_{unit}"))
         listed.append(
@@ -485,43 +489,34 @@ def _budget(c: Certificate) -> Element:
     """Return the budget of the pose's uncertainty: a list over the sources, and the sum."""
     budget = c.budget
     lines = budget.lines
+    sources = [line.source.value for line in lines]
     listed = [
-        _quantity("Source", "calib_source", _chars(line.source.value for line in lines)),
-        _quantity(
-            "Standard uncertainty of the position",
-            "calib_position",
-            _real_list([line.position for line in lines], "m"),
-        ),
-        _quantity(
-            "Standard uncertainty of the orientation",
-            "calib_orientation",
-            _real_list([line.orientation for line in lines], "rad"),
-        ),
-        _quantity(
-            "Share of the variance", "calib_share", _real_list([line.share for line in lines], "1")
-        ),
+        _quantity(name, f"calib_{ref}", _real_list(values, unit, labels=sources))
+        for name, ref, values, unit in (
+            ("Standard uncertainty of the position", "position", [x.position for x in lines], "m"),
+            (
+                "Standard uncertainty of the orientation",
+                "orientation",
+                [x.orientation for x in lines],
+                "rad",
+            ),
+            ("Share of the variance", "share", [x.share for x in lines], "1"),
+        )
     ]
     total = [
-        _quantity(
-            "Combined standard uncertainty of the position",
-            "calib_combinedPosition",
-            _real(budget.position_std, "m"),
-        ),
-        _quantity(
-            "Expanded uncertainty of the position",
-            "calib_expandedPosition",
-            _real(budget.position, "m"),
-        ),
-        _quantity(
-            "Combined standard uncertainty of the orientation",
-            "calib_combinedOrientation",
-            _real(budget.orientation_std, "rad"),
-        ),
-        _quantity(
-            "Expanded uncertainty of the orientation",
-            "calib_expandedOrientation",
-            _real(budget.orientation, "rad"),
-        ),
+        _quantity(f"{kind} uncertainty of the {what}", f"calib_{ref}", _real(value, unit))
+        for kind, what, ref, value, unit in (
+            ("Combined standard", "position", "combinedPosition", budget.position_std, "m"),
+            ("Expanded", "position", "expandedPosition", budget.position, "m"),
+            (
+                "Combined standard",
+                "orientation",
+                "combinedOrientation",
+                budget.orientation_std,
+                "rad",
+            ),
+            ("Expanded", "orientation", "expandedOrientation", budget.orientation, "rad"),
+        )
     ]
     words = "; ".join(f"{line.source.value}: {SOURCES[line.source]}" for line in lines)
     data = _of("data", _of("list", *listed, ref="calib_budget"), *total)

@@ -95,6 +95,8 @@ class Reading(Value):
     sigma: Array
     #: Its degrees of freedom; infinite if it was stated
     freedom: float
+    #: Whether some input states it; else it is what the calibration left, or the scatter of repeats
+    is_stated: bool
 
 
 def reading_noise(
@@ -121,6 +123,7 @@ def reading_noise(
         general, freedom = noise.sigma.get(unit, np.nan), noise.freedom
     by_row = table.stated_sigma.get(unit, np.full(len(table), np.nan))
     sigma = np.where(np.isfinite(by_row), by_row, general)
+    is_stated = bool(np.isinf(freedom) or np.all(np.isfinite(by_row)))
 
     squares, degrees = 0.0, 0
     for pose in poses:
@@ -129,8 +132,9 @@ def reading_noise(
         squares += float(np.sum((scalars - scalars.mean(axis=0)) ** 2))
         degrees += (len(rows) - 1) * scalars.shape[1]
     if degrees and squares / degrees > np.mean(sigma**2):
-        return Reading(read_only(np.full(len(table), np.sqrt(squares / degrees))), degrees)
-    return Reading(read_only(sigma), freedom)
+        scatter = np.full(len(table), np.sqrt(squares / degrees))
+        return Reading(read_only(scatter), degrees, is_stated)
+    return Reading(read_only(sigma), freedom, is_stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

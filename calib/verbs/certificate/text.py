@@ -67,6 +67,8 @@ _SENTENCES: dict[Untested, str] = {
     Untested.TEMPERATURE: "Temperature: the record does not state it.",
     Untested.OTHER_TEMPERATURES: "Other temperatures than {low_C}.",
     Untested.TRACEABILITY: "Traceability: the record lacks the instrument's certificate, or what it is traceable to.",
+    Untested.NOISE: "The instrument's noise: nothing states it, so that what the calibration left of {units} counts as "
+    "noise, and U is too large rather than too small.",
 }
 
 
@@ -93,6 +95,8 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         elif name == "rows":
             noun = "row" if len(value) == 1 else "rows"
             words[name] = f"{noun} {row_ranges(value)}"
+        elif name == "units":
+            words[name] = listed([f"{RESIDUAL_UNITS[unit].measured}s" for unit in value])
         elif name == "places":
             words[name] = " and ".join(value)
         elif name == "share":

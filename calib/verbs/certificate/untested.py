@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -53,6 +53,7 @@ class Untested(Enum):
     TEMPERATURE = "temperature"
     OTHER_TEMPERATURES = "other_temperatures"
     TRACEABILITY = "traceability"
+    NOISE = "noise"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +70,11 @@ class Gap(Value):
 
 
 def gaps(
-    e: Assessment, calibration: Calibration, points: tuple[Point, ...], record: Record
+    e: Assessment,
+    calibration: Calibration,
+    points: tuple[Point, ...],
+    record: Record,
+    estimated: Sequence[str] = (),
 ) -> tuple[Gap, ...]:
     """Return what the measurements of a certificate did not test.
 
@@ -78,9 +83,16 @@ def gaps(
         calibration: Its calibration.
         points: The certificate's points.
         record: The certificate's record.
+        estimated: Symbols of the units of which nothing states the noise of a reading, so that it was estimated.
     """
-    in_joints = _of_joints(e, points, calibration.rows.ranges)
-    return (*_of_rows(e, calibration, points), *in_joints, *_of_record(record))
+    found = [
+        *_of_rows(e, calibration, points),
+        *_of_joints(e, points, calibration.rows.ranges),
+        *_of_record(record),
+    ]
+    if estimated:
+        found.append(Gap(Untested.NOISE, {"units": tuple(estimated)}))
+    return tuple(found)
 
 
 def _of_rows(e: Assessment, calibration: Calibration, points: tuple[Point, ...]) -> Iterator[Gap]:
