@@ -36,6 +36,7 @@ VERBS = (
     "base-frame",
     "calibrate",
     "evaluate",
+    "certificate",
     "compare",
     "convert",
     "compensate",
@@ -50,6 +51,7 @@ _EARLIER = {"fit": "calibrate"}
 #: Verbs that are meant by words of other programs, which are proposed in place of them.
 _MEANT = {
     "acceptance": "evaluate",
+    "certify": "certificate",
     "check": "evaluate",
     "correct": "compensate",
     "diff": "compare",

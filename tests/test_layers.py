@@ -40,6 +40,7 @@ VERBS: dict[str, set[str]] = {
     "base_frame": set(),
     "board": set(),
     "calibrate": {"view"},
+    "certificate": {"evaluate"},
     "compare": {"view"},
     "compensate": set(),
     "convert": set(),

@@ -5,6 +5,7 @@ Nothing is computed from it. What is not given stays blank, to be filled in by h
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from typing import Any
@@ -23,7 +24,10 @@ LONGEST_NOTE = 160
 #: Least and greatest air temperature [°C]: a number outside is in another unit.
 TEMPERATURES_C = (-50.0, 80.0)
 
-#: The two temperatures of a range: at the start and at the end.
+#: Least and greatest relative humidity [%].
+HUMIDITIES_PERCENT = (0.0, 100.0)
+
+#: The two values of a range: at the start and at the end.
 _ENDS = 2
 
 
@@ -56,28 +60,50 @@ def _entry(name: str, meaning: str, room: int = LONGEST) -> Any:  # noqa: ANN401
     return key(name, _TEXT, meaning, default="", absent="blank", check=check)
 
 
-def _temperatures_or_none(value: Any) -> tuple[Any, ...] | None:  # noqa: ANN401
-    """Return one temperature of a file, or a list of two, as a tuple; None for others."""
+def _ends_or_none(value: Any) -> tuple[Any, ...] | None:  # noqa: ANN401
+    """Return one number of a file, or a list of two, as a tuple; None for others."""
     values = value if isinstance(value, list) else [value]
     return tuple(values) if all(map(is_number, values)) else None
 
 
-def _plausible_or_none(values: object) -> tuple[float, ...] | None:
-    """Return a tuple of no, one or two temperatures in a plausible range [°C]; None for anything else."""
-    low, high = TEMPERATURES_C
-    given = tuple(values) if isinstance(values, (tuple, list)) else (values,)
-    if len(given) <= _ENDS and all(is_number(value) and low <= value <= high for value in given):
-        return tuple(float(value) for value in given)
-    return None
+def _ends(name: str, meaning: str, least: float, most: float, unit: str) -> Any:  # noqa: ANN401  a field
+    """Return the field of an entry that is a number, or two: at the start and at the end; CalibError out of range."""
+
+    def within(values: object) -> tuple[float, ...] | None:
+        """Return a tuple of no, one or two numbers in the range; None for anything else."""
+        given = tuple(values) if isinstance(values, (tuple, list)) else (values,)
+        if len(given) <= _ENDS and all(
+            is_number(value) and least <= value <= most for value in given
+        ):
+            return tuple(float(value) for value in given)
+        return None
+
+    what = f"one number or two, at the start and at the end, from {least:g} to {most:g} {unit}"
+    return key(
+        name,
+        form("a number, or a list of two: [21.5, 23.0]", _ends_or_none),
+        meaning,
+        absent="blank",
+        check=Check(what, within),
+        default=(),
+    )
+
+
+def _country_or_none(value: object) -> str | None:
+    """Return a country's code of two capital letters, or an empty text; None for anything else."""
+    is_code = isinstance(value, str) and (not value or re.fullmatch("[A-Z]{2}", value))
+    return str(value) if is_code else None
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
     """The record of a measurement, ``[record]`` of a cell file; an entry that is not given is empty.
 
+    The entries after the note are those that only a certificate has.
+
     Raises:
-        CalibError: An entry is longer than `LONGEST` characters, the note than `LONGEST_NOTE`, or a temperature is not
-            a number or out of range.
+        CalibError: An entry is longer than `LONGEST` characters, the note than `LONGEST_NOTE`; a temperature or
+            humidity is not a number or out of range; or the country is not of two letters.
     """
 
     customer: str = _entry("customer", "Who the report is for.")
@@ -96,20 +122,44 @@ class Record:
     place: str = _entry("place", "Where the robot was measured.")
     date: str = _entry("date", "When it was measured; histories read 2026-03-01.")
     #: [°C], one, or those at the start and at the end; empty: not given
-    temperature_C: tuple[float, ...] = key(
+    temperature_C: tuple[float, ...] = _ends(
         "temperature_C",
-        form("a number, or a list of two: [21.5, 23.0]", _temperatures_or_none),
         "Air temperature [°C]: one, or those at the start and at the end.",
-        absent="blank",
-        check=Check(
-            "one number or two, at the start and at the end, from "
-            f"{TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g} °C",
-            _plausible_or_none,
-        ),
-        default=(),
+        *TEMPERATURES_C,
+        "°C",
     )
     operator: str = _entry("operator", "Who measured.")
     note: str = _entry("note", "Anything else.", LONGEST_NOTE)
+    certificate_number: str = _entry("certificate_number", "Number of the certificate.")
+    laboratory: str = _entry("laboratory", "The laboratory that signs the certificate.")
+    country: str = key(
+        "country",
+        _TEXT,
+        'The laboratory\'s country, two letters of ISO 3166-1: "DE".',
+        default="",
+        absent="blank",
+        check=Check("two capital letters, such as 'DE'", _country_or_none),
+    )
+    responsible: str = _entry("responsible", "Who answers for the certificate.")
+    robot: str = _entry("robot", "Maker and model of the robot.")
+    instrument_certificate: str = _entry(
+        "instrument_certificate", "Number of the instrument's own certificate."
+    )
+    instrument_calibrated: str = _entry(
+        "instrument_calibrated", "When the instrument was calibrated."
+    )
+    traceability: str = _entry(
+        "traceability", "The standards that the instrument is traceable to, and by whom."
+    )
+    sequence: str = _entry("sequence", "Order in which the poses were measured.")
+    valid_until: str = _entry("valid_until", "Until when, as agreed with the customer.")
+    #: [%], one, or those at the start and at the end; empty: not given
+    humidity_percent: tuple[float, ...] = _ends(
+        "humidity_percent",
+        "Relative humidity of the air [%]: one, or those at the start and at the end.",
+        *HUMIDITIES_PERCENT,
+        "%",
+    )
 
     def __post_init__(self) -> None:
         """Join the lines of each text, and check lengths and temperatures."""
@@ -122,7 +172,10 @@ class Record:
 
 
 #: Names of the entries that are texts.
-TEXTS = tuple(entry.name for entry in fields(Record) if entry.name != "temperature_C")
+TEXTS = tuple(entry.name for entry in fields(Record) if not isinstance(entry.default, tuple))
+
+#: Names of the texts that only a certificate has.
+FOR_CERTIFICATES = TEXTS[TEXTS.index("note") + 1 :]
 
 
 #: A record without any entry.

@@ -19,6 +19,9 @@ from calib.show.words import ends_text
 #: Lines of the sheet that are left for reasons, long entries of the form, the note, and rows of the table.
 _LINES = 16
 
+#: Lines of a report's form; longer forms leave less room.
+_FORM = 9
+
 #: Letters in a line of a reason or of the note.
 _LINE = 100
 
@@ -59,10 +62,14 @@ class FirstPage(Block):
     rule: Sequence[str]
     #: Who signs
     parties: tuple[str, str]
+    #: Lines of the form's halves in place of the report's; None: the report's
+    form: tuple[Sequence[Line], Sequence[Line]] | None = None
 
     @property
     def left(self) -> list[Line]:
         """Label and value of each line of the form's left half: customer and robot; an empty value stays blank."""
+        if self.form is not None:
+            return [*self.form[0]]
         robot, record = self.robot, self.record
         chain = f"{robot.name}, {ends_text(robot)}, {plural(len(robot.all_joints), 'joint')}"
         return [
@@ -80,6 +87,8 @@ class FirstPage(Block):
     @property
     def right(self) -> list[Line]:
         """Label and value of each line of the form's right half: instrument, place, time; an empty one stays blank."""
+        if self.form is not None:
+            return [*self.form[1]]
         record = self.record
         temperatures = " to ".join(number(value, 1) for value in record.temperature_C)
         return [
@@ -98,6 +107,7 @@ class FirstPage(Block):
     def listed(self) -> list[str]:
         """The reasons that fit on the sheet, long ones shortened; the last line counts the others."""
         room = _LINES - len(self.table.rows) - _line_count(self.record.note, _LINE)
+        room -= max(len(self.left) - _FORM, 0)
         for (_, on_left), (_, on_right) in zip(self.left, self.right, strict=True):
             room -= max(_line_count(on_left, _ENTRY), _line_count(on_right, _ENTRY), 1) - 1
         shown: list[str] = []

@@ -1,0 +1,1 @@
+"""Write a calibration certificate that a laboratory signs, for people and for programs (DCC)."""
