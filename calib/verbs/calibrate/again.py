@@ -245,22 +245,12 @@ class Record:
             *_changed(What.OPTION, _options(self.call), _options(told)),
             *_changed(What.VERSION, before, now["versions"]),
         ]
-        a, b = dict(_values(self.table)), dict(_values(now))
-        paths = list(dict.fromkeys([*a, *b]))
-        if before.get("calib") != now["versions"]["calib"]:
-            # A key that one of the versions does not have is no difference.
-            paths = [path for path in paths if path in a and path in b]
-        missing = object()
-        differences = [
-            Difference(path, a.get(path), b.get(path))
-            for path in paths
-            if a.get(path, missing) != b.get(path, missing)
-        ]
+        count, differences = compare_tables(self.table, now)
         return Again(
             before=self.result,
             result=result,
             changes=tuple(changes),
-            compared=len(paths),
+            compared=count,
             differences=tuple(differences),
         )
 
@@ -388,6 +378,30 @@ def _options(told: Call) -> dict[str, str]:
     cell = {f"cell.{name}": entry for name, entry in table["cell"].items() if name != "robots"}
     options = {name: entry for name, entry in table.items() if name not in _NO_OPTIONS}
     return {name: json.dumps(plain(entry)) for name, entry in (options | cell).items()}
+
+
+def compare_tables(before: Json, now: Json) -> tuple[int, list[Difference]]:
+    """Compare the tables of two results, as `read_json` gives them.
+
+    Args:
+        before: Tables of the first result.
+        now: Tables of the second.
+
+    Returns:
+        The number of values that were compared, and those that differ.
+    """
+    a, b = dict(_values(before)), dict(_values(now))
+    paths = list(dict.fromkeys([*a, *b]))
+    if before.get("versions", {}).get("calib") != now["versions"]["calib"]:
+        # A key that one of the versions does not have is no difference.
+        paths = [path for path in paths if path in a and path in b]
+    missing = object()
+    differences = [
+        Difference(path, a.get(path), b.get(path))
+        for path in paths
+        if a.get(path, missing) != b.get(path, missing)
+    ]
+    return len(paths), differences
 
 
 def _values(table: Json) -> Iterator[tuple[str, Any]]:
