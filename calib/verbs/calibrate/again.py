@@ -241,7 +241,7 @@ class Record:
         changes = [
             *_changed_inputs(self.result, result),
             *self._changed_beside(),
-            *_changed(What.PLUGIN, self.call.plugins, plugin_hashes()),
+            *_changed(What.PLUGIN, _by_file(self.call.plugins), _by_file(plugin_hashes())),
             *_changed(What.OPTION, _options(self.call), _options(told)),
             *_changed(What.VERSION, before, now["versions"]),
         ]
@@ -370,6 +370,11 @@ def _changed(what: What, before: Mapping[str, str], now: Mapping[str, str]) -> I
         pair = before.get(name, ""), now.get(name, "")
         if pair[0] != pair[1]:
             yield Change(what, name, *pair)
+
+
+def _by_file(hashes: Mapping[str, str]) -> dict[str, str]:
+    """Return the hashes of plugins by their names without folders, where they may be others now."""
+    return {Path(name).name: sha256 for name, sha256 in hashes.items()}
 
 
 def _options(told: Call) -> dict[str, str]:
