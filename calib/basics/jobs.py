@@ -8,6 +8,7 @@ Within a job linear algebra takes one thread, see `one_blas_thread`.
 
 from __future__ import annotations
 
+import importlib
 import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -115,8 +116,24 @@ def _call(
 
 @cache
 def _blas_libraries() -> ThreadpoolController:
-    """Return the libraries that are loaded; searching for them takes as long as a fit."""
+    """Return the libraries of NumPy and SciPy, which are loaded; searching for them takes as long as a fit."""
+    importlib.import_module(
+        "scipy.linalg"
+    )  # or a library that it loads later would not be among them
     return ThreadpoolController()
+
+
+def blas_kernels() -> str:
+    """Return the libraries of linear algebra (BLAS) of NumPy and SciPy with versions and kernels, by name.
+
+    Such as ``"openblas 0.3.30 Haswell, openblas 0.3.31 Haswell"``; empty if there are none that tell.
+    """
+    names = set()
+    for library in _blas_libraries().info():
+        if library["user_api"] == "blas":
+            words = (library["internal_api"], library["version"], library.get("architecture"))
+            names.add(" ".join(filter(None, words)))
+    return ", ".join(sorted(names))
 
 
 @contextmanager

@@ -190,7 +190,7 @@ class JsonLayout:
                 for path, entry in self.entries(attribute).items():
                     entries[key.path + path] = entry
             else:
-                write = key.write or self._write
+                write = key.write or self.entry
                 entries[key.path] = write(attribute)
         return entries
 
@@ -268,7 +268,7 @@ class JsonLayout:
             return hint(**self.values(hint, entry))
         return entry
 
-    def _write(self, value: Any) -> Any:  # noqa: ANN401  any value
+    def entry(self, value: Any) -> Any:  # noqa: ANN401  any value
         """Return a value as JSON has it; arrays and numbers stay what they are."""
         writer, _ = self.types.get(type(value), (None, None))
         if writer is not None:
@@ -276,9 +276,9 @@ class JsonLayout:
         if isinstance(value, enum.Enum):
             return value.name.lower()
         if isinstance(value, Mapping):
-            return {name: self._write(entry) for name, entry in value.items()}
+            return {name: self.entry(entry) for name, entry in value.items()}
         if isinstance(value, tuple | list):
-            return [self._write(entry) for entry in value]
+            return [self.entry(entry) for entry in value]
         return self.table(value) if is_dataclass(value) else value
 
     def _keys_of(self, kind: type) -> list[tuple[str, Key]]:

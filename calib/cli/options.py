@@ -21,24 +21,19 @@ from calib.errors import CalibError, choices
 if TYPE_CHECKING:
     from calib.data.cell import Cell
     from calib.data.forms.column_options import ColumnOptions
+    from calib.result.call import Call
 
 Self = TypeVar("Self", bound="CellOptions")
 
-RobotFile = Annotated[
-    str,
-    typer.Argument(
-        metavar="ROBOT",
-        help="URDF or xacro file (a xacro's arguments follow its name in the same quotes), MuJoCo model (MJCF), DH "
-        "rows, or the name of a robot in example-robot-data, such as 'ur3'.",
-    ),
-]
-DataFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="DATA",
-        help="Table (CSV or .xlsx) of joint values and measured points, with units in its header.",
-    ),
-]
+#: Help of ROBOT and of DATA.
+ROBOT_HELP = (
+    "URDF or xacro file (a xacro's arguments follow its name in the same quotes), MuJoCo model (MJCF), DH rows, or the "
+    "name of a robot in example-robot-data, such as 'ur3'."
+)
+DATA_HELP = "Table (CSV or .xlsx) of joint values and measured points, with units in its header."
+
+RobotFile = Annotated[str, typer.Argument(metavar="ROBOT", help=ROBOT_HELP)]
+DataFile = Annotated[Path, typer.Argument(metavar="DATA", help=DATA_HELP)]
 Accept = Annotated[
     bool,
     typer.Option(
@@ -307,6 +302,18 @@ class TableOptions(ColumnChoice):
             "mean: LeRobot's calibration file, or the ticks in a turn and the tick of the joints' zero, as 4096@2048.",
         ),
     ] = None
+
+    @classmethod
+    def of_call(cls, told: Call) -> TableOptions:
+        """Return the options by which a calibration was told how its table is read."""
+        return cls(
+            columns=list(told.columns) or None,
+            orientation=told.orientation,
+            joint_unit=told.joint_unit,
+            points=None if told.points is None else Path(told.points),
+            points_unit=told.points_unit,
+            motors=told.motors,
+        )
 
     def parsed(self) -> ColumnOptions:
         """Return the options for columns, with what the numbers of servos mean; see `ColumnChoice.parsed`."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -46,6 +47,7 @@ from calib.numerics.scores import Limits
 from calib.numerics.solvers import Solver
 from calib.result.board_errors import BoardErrors, board_errors
 from calib.result.calibration import Calibration
+from calib.result.call import Call, file_hashes, plugin_hashes
 from calib.result.collected_evidence import accidents, add_verdicts
 from calib.result.doubts import late_in_table, patterns_in_table
 from calib.result.fewer_corners import with_fewer_corners
@@ -118,7 +120,47 @@ def calibrate(
     check_flags(robust=robust, validate=validate)
     check_callable("progress", progress)
     if isinstance(model, str):
-        stated = replace(stated, model=model)
+        stated, model = replace(stated, model=model), None
+    named = [
+        str(given) if isinstance(given, (str, Path)) else "" for given in (robot, measurements)
+    ]
+    further = [other.robot for other in stated.robots.values()]
+    call = Call(
+        robot=named[0],
+        table=named[1],
+        cell=stated,
+        own_parameters=model is not None,
+        solver=solver if isinstance(solver, str) else getattr(solver, "__name__", ""),
+        robust=robust,
+        validate=validate,
+        files=file_hashes([*filter(None, named), *further]),
+        plugins=plugin_hashes(),
+    )
+    result = _calibrated(
+        arm,
+        measured,
+        stated,
+        model=model,
+        solver=solver,
+        robust=robust,
+        validate=validate,
+        progress=progress,
+    )
+    return replace(result, method=replace(result.method, call=call))
+
+
+def _calibrated(
+    arm: Robot,
+    measured: Measurements,
+    stated: Cell,
+    *,
+    model: Sequence[Parameter] | None,
+    solver: str | Solver,
+    robust: bool,
+    validate: bool,
+    progress: Progress | None,
+) -> Calibration:
+    """Calibrate from inputs that were read and checked, see `calibrate`; a model of None is the cell's."""
     if is_flange_robot(arm.joint_names):
         stated, model = _of_flange_poses(stated, model), None
     measured = measured.without_copies()
@@ -198,7 +240,7 @@ def without_mistakes_of_pictures(
     return measurements, tuple(found), None
 
 
-def _of_flange_poses(cell: Cell, model: str | Sequence[Parameter] | None) -> Cell:
+def _of_flange_poses(cell: Cell, model: Sequence[Parameter] | None) -> Cell:
     """Return the cell with the only model for poses of the flange in place of joint values, which is ``frames``.
 
     ModelError if another one is named: such poses know nothing of joints.

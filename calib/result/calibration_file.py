@@ -23,6 +23,7 @@ from calib.basics.arguments import check_type
 from calib.basics.arrays import Array, read_only
 from calib.basics.channels import Channels, residual_unit
 from calib.basics.files import write_atomically
+from calib.basics.jobs import blas_kernels
 from calib.basics.json_files import (
     Json,
     JsonLayout,
@@ -31,6 +32,7 @@ from calib.basics.json_files import (
     digest,
     json_bytes,
     nested,
+    plain,
     read_json,
 )
 from calib.basics.records import json_key
@@ -38,6 +40,8 @@ from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
+from calib.data.cell import Cell
+from calib.data.priors import Priors
 from calib.diagnosis.coverage import OutsideRow
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError, PluginError, choices
@@ -52,6 +56,7 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors, UnitErrors
 from calib.numerics.repeats import Repeats
 from calib.result.calibration import Calibration
+from calib.result.call import Call
 from calib.result.file_check import check_against_itself
 from calib.result.fitted_model import FittedModel, NonGeometric
 from calib.result.parts import Method, ResultRows, Source
@@ -176,20 +181,35 @@ def _boards_table(boards: Mapping[str, Board]) -> list[dict[str, Any]]:
 
 
 def _read_boards(table: Iterable[Json]) -> Mapping[str, Board]:
-    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it.
+    """Return printed boards by the names of their targets, from a list as `_boards_table` makes it."""
+    return ReadOnlyMapping({row["target"]: _read_board(row) for row in table})
 
-    A key with a default may be missing; any other raises KeyError.
-    """
-    boards = {}
-    for row in table:
-        # A key that came later, with a default, is missing in older files.
-        arguments = {
-            field.name: row[json_key(field)]
-            for field in fields(Board)
-            if field.default is MISSING or json_key(field) in row
-        }
-        boards[row["target"]] = Board(**arguments)
-    return ReadOnlyMapping(boards)
+
+def _read_board(row: Json) -> Board:
+    """Return a printed board from its table; a key with a default may be missing, any other raises KeyError."""
+    arguments = {
+        field.name: row[json_key(field)]
+        for field in fields(Board)
+        if field.default is MISSING
+        or json_key(field) in row  # keys that came later are missing in older files
+    }
+    return Board(**arguments)
+
+
+def _cell_table(cell: Cell) -> dict[str, Any]:
+    """Return a cell by the names of its fields, in SI units, without those that are as in the default cell."""
+    default = _fields_table(Cell())
+    return {name: entry for name, entry in _fields_table(cell).items() if entry != default[name]}
+
+
+def _fields_table(cell: Cell) -> dict[str, Any]:
+    """Return all fields of a cell by their names, in SI units."""
+    return {field.name: plain(_LAYOUT.entry(getattr(cell, field.name))) for field in fields(cell)}
+
+
+def _read_cell(table: Json) -> Cell:
+    """Return a cell from its table, as `_cell_table` makes it."""
+    return Cell(**_LAYOUT.values(Cell, table))
 
 
 #: The prior standard deviations of families.
@@ -237,6 +257,11 @@ _LAYOUT: JsonLayout = JsonLayout(
             "undetermined_families": "expected.undetermined",
             "scatter": "noise.rows",
             "stated_places": "frames.stated_places",
+        },
+        Cell: {
+            "ties": Key(
+                "ties", read=lambda ties: {name: tuple(pair) for name, pair in ties.items()}
+            )
         },
         Setup: {"internals": "optics"},
         Parameter: {"internal": "optic"},
@@ -333,19 +358,41 @@ _LAYOUT: JsonLayout = JsonLayout(
         },
     },
     {
+        Board: (None, _read_board),
+        Cell: (_cell_table, _read_cell),
         Errors: (error_table, _read_errors),
         Factor: (lambda factor: factor.name, factor_of),
+        Priors: (
+            lambda priors: {"source": priors.source, "given": dict(priors.given)},
+            lambda table: Priors(table["source"], **table["given"]),
+        ),
     },
 )
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of calib, of Python, and of the packages that computed the result.
+def call_table(call: Call) -> dict[str, Any]:
+    """Return what a calibration was told as a table; see docs/result-json.md."""
+    return _LAYOUT.table(call)
 
-    By ``"calib"``, ``"python"``, ``"pin"``, ``"numpy"`` and ``"scipy"``.
+
+def versions() -> dict[str, str]:
+    """Return the versions of calib, of Python, and of the packages that computed the result, and what they run on.
+
+    By ``"calib"``, ``"python"``, ``"pin"``, ``"numpy"``, ``"scipy"``; ``"blas"``, libraries of linear algebra with the
+    kernels that they chose for the processor; ``"cpu"``, its instructions as NumPy uses them; ``"system"``, with the C
+    library. Other kernels, instructions or C libraries round the last bits differently.
     """
     packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
-    return {"calib": __version__, "python": platform.python_version(), **packages}
+    instructions = np.show_config("dicts")["SIMD Extensions"]
+    highest = [*instructions["baseline"], *instructions["found"]][-1:]
+    return {
+        "calib": __version__,
+        "python": platform.python_version(),
+        **packages,
+        "blas": blas_kernels(),
+        "cpu": " ".join([platform.machine(), *highest]),
+        "system": " ".join(filter(None, [platform.system(), *platform.libc_ver()])),
+    }
 
 
 def result_table(c: Calibration) -> dict[str, Any]:

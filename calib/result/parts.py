@@ -23,6 +23,7 @@ from calib.numerics.correlated_noise import PoseNoise
 from calib.numerics.errors import CrossValidation, Errors
 from calib.numerics.repeats import Repeats
 from calib.numerics.solvers import Solution
+from calib.result.call import Call
 from calib.result.chains import ChainResult
 
 
@@ -242,6 +243,8 @@ class Method(Value):
     seconds: float
     #: When that was, see `calib.basics.dates`; empty if an earlier version wrote the file
     time: str = ""
+    #: What `calibrate` was told, to make the result again; None if an earlier version wrote the file
+    call: Call | None = None
 
     def __post_init__(self) -> None:
         """Keep a read-only copy of the mapping."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,17 +12,18 @@ import typer
 
 from calib.basics.progress import Stage, begin, counted, trying
 from calib.cli.executor import executor_of
+from calib.cli.exit_status import ExitStatus
 from calib.cli.loading import load_with_data
 from calib.cli.notices import say_accepted, say_ignored, say_unused_camera
 from calib.cli.options import (
+    DATA_HELP,
+    ROBOT_HELP,
     Accept,
     Dask,
-    DataFile,
     FitOptions,
     Force,
     FrameLink,
     Quiet,
-    RobotFile,
     SolverOptions,
     TableOptions,
     TargetLink,
@@ -35,7 +37,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from calib.result.calibration import Calibration
+    from calib.result.call import Call
     from calib.robot.robot import Robot
+    from calib.verbs.calibrate.again import Record
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +258,12 @@ class Intervals:
             CalibError: Too many samples, no such parameter, one at a bound, or the paper's solver made the calibration.
         """
         from calib.verbs.calibrate.report import bootstrap_text, profile_text
-        from calib.verbs.calibrate.uncertainty import LEVEL, bootstrap, profile_interval
+        from calib.verbs.calibrate.uncertainty import (
+            LEVEL,
+            bootstrap,
+            profile_interval,
+            profile_table,
+        )
 
         texts: list[str] = []
         tables: dict[str, Any] = {}
@@ -270,11 +279,89 @@ class Intervals:
                 for name in self.profile
             ]
             texts.append(profile_text(profiles))
-            tables["profiles"] = [
-                {"name": parameter.name, "unit": parameter.unit, **asdict(interval)}
-                for parameter, interval in profiles
-            ]
+            tables["profiles"] = [profile_table(*pair) for pair in profiles]
         return texts, tables
+
+
+#: Options that count over those of a record if they are given, by the names of a call's fields.
+_OVER_A_RECORD = (
+    "columns",
+    "orientation",
+    "joint_unit",
+    "motors",
+    "points",
+    "points_unit",
+    "solver",
+    "robust",
+    "validate",
+    "bootstrap",
+    "seed",
+    "profile",
+    "workers",
+)
+
+
+def _told(
+    record: Record | None,
+    robot: str | None,
+    data: Path | None,
+    cell_options: FitOptions,
+    table_options: TableOptions,
+    solver_options: SolverOptions,
+    intervals: Intervals,
+) -> Call:
+    """Return what the calibration is told: by the options, of which those given count over a record, if there is one.
+
+    Raises `CalibError` for a fault of the cell file or an option, and if an input of the record cannot be found.
+    """
+    from calib.basics.records import changes
+    from calib.result.call import Call, file_hashes
+
+    if record is not None and (robot is None) != (data is None):
+        raise CalibError(
+            "--again: name both ROBOT and DATA in place of those of the record, or neither."
+        )
+    cell = cell_options.cell()
+    if record is not None and cell_options.file is None:
+        cell = replace(record.call.cell, **changes(record.call.cell, cell_options.given))
+    given = Call(
+        robot=robot or "",
+        table=str(data or ""),
+        columns=tuple(table_options.columns or ()),
+        orientation=table_options.orientation,
+        joint_unit=table_options.joint_unit,
+        motors=table_options.motors,
+        points=None if table_options.points is None else str(table_options.points),
+        points_unit=table_options.points_unit,
+        cell=cell,
+        solver=solver_options.solver,
+        robust=solver_options.robust,
+        validate=solver_options.validate,
+        bootstrap=intervals.bootstrap,
+        seed=intervals.seed,
+        profile=tuple(intervals.profile or ()),
+        workers=intervals.workers,
+    )
+    if record is None:
+        further = [other.robot for other in cell.robots.values()]
+        beside = (given.motors, cell_options.file)
+        files = file_hashes([given.robot, given.table, given.points, *beside, *further])
+        return replace(given, files=files)
+    unsaid = Call(cell=cell)
+    over: dict[str, Any] = {"cell": cell}
+    for name in _OVER_A_RECORD:
+        if getattr(given, name) != getattr(unsaid, name):
+            over[name] = getattr(given, name)
+    if robot is not None:
+        over |= {"robot": given.robot, "table": given.table}
+    return record.located(replace(record.call, **over))
+
+
+def _needed(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:  # noqa: ANN401  a name or a path
+    """Refuse a call without ROBOT and DATA, unless --again names a result that was made of them."""
+    if value is None and not ctx.params.get("again") and not ctx.resilient_parsing:
+        ctx.fail(f"Missing argument '{param.metavar}'.")
+    return value
 
 
 @verb("""Calibrate a robot from measurements.
@@ -288,6 +375,7 @@ Examples:
   calib calibrate robot.urdf joints.csv --points tracker.txt --frame estimate -o corrected.urdf
   calib calibrate robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
   calib calibrate robot.urdf data.csv --bootstrap 1000 --seed 1 --profile alpha2
+  calib calibrate --again result.json
 
 The table has one row for each pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
 "y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
@@ -295,8 +383,23 @@ docs/data-format.md. An optional column "set" says which rows are for estimation
 ("validate"). If the verdict is "do not use", -o writes no URDF, and the exit status is 3; --accept writes it.
 """)
 def calibrate(
-    robot: RobotFile,
-    data: DataFile,
+    robot: Annotated[
+        str | None, typer.Argument(metavar="ROBOT", help=ROBOT_HELP, callback=_needed)
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Argument(metavar="DATA", help=DATA_HELP, callback=_needed)
+    ] = None,
+    *,
+    again: Annotated[
+        Path | None,
+        typer.Option(
+            "--again",
+            metavar="RESULT",
+            is_eager=True,
+            help="Make this result (.json) again from its own record, and say what differs: inputs, versions, and "
+            "every number. Options given besides count over those of the record. Exit status 3 if a number differs.",
+        ),
+    ] = None,
     cell_options: FitOptions,
     table_options: TableOptions,
     outputs: Outputs,
@@ -304,32 +407,58 @@ def calibrate(
     solver_options: SolverOptions,
     quiet: Quiet = False,
 ) -> None:
-    """Load, fit, write the files and print the summary; exit status 3 if the verdict withheld the URDF."""
-    intervals.check()
-    outputs.check([robot, data, cell_options.file, table_options.points])
-    samples = intervals.bootstrap
-    with (
-        executor_of(intervals.workers, intervals.dask, samples, default=1) as executor,
-        work_line(quiet=quiet),
-    ):
+    """Load, fit, write the files and print the summary; exit status 3 if the verdict withheld the URDF.
+
+    With a record also if the result is not equal to it.
+    """
+    record = None
+    if again is None:
+        intervals.check()
+    outputs.check([robot, data, cell_options.file, table_options.points, again])
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(work_line(quiet=quiet))
         begin(Stage.READING)
-        cell = cell_options.cell()
-        solver_options.check()
-        trying(data.name)
-        arm, measurements = load_with_data(robot, cell, data, table_options)
+        if again is not None:
+            from calib.verbs.calibrate.again import Record
+
+            trying(again.name)
+            record = Record.read(again)
+        told = _told(record, robot, data, cell_options, table_options, solver_options, intervals)
+        if record is not None:
+            intervals = replace(
+                intervals,
+                bootstrap=told.bootstrap,
+                seed=told.seed,
+                profile=list(told.profile) or None,
+            )
+            intervals.check()
+            outputs.check([*told.files, again])
+        samples = intervals.bootstrap
+        executor = stack.enter_context(
+            executor_of(intervals.workers, intervals.dask, samples, default=1)
+        )
+        replace(solver_options, solver=told.solver).check()
+        trying(Path(told.table).name)
+        cell = told.cell
+        arm, measurements = load_with_data(
+            told.robot, cell, Path(told.table), TableOptions.of_call(told)
+        )
         outputs.check_robot(arm)
 
         from calib.result.calibrate import calibrate as calibrate_robot
+        from calib.result.call import plugin_hashes
         from calib.show.verdict_text import do_not_use_text, refusal
 
         result = calibrate_robot(
             arm,
             measurements,
             cell=cell,
-            solver=solver_options.solver,
-            robust=solver_options.robust,
-            validate=solver_options.validate,
+            solver=told.solver,
+            robust=told.robust,
+            validate=told.validate,
         )
+        told = replace(told, plugins=plugin_hashes())
+        result = replace(result, method=replace(result.method, call=told))
         interval_texts, tables = intervals.compute(result, executor)
         # Files first: a reader of the text that goes away (head, less) must not cost the results.
         begin(Stage.WRITING)
@@ -351,11 +480,19 @@ def calibrate(
         elif outputs.output is None and not do_not_use_text(result.verdict):
             typer.echo("No URDF was written; add -o corrected.urdf to write it.")
 
+    differs = False
+    if record is not None:
+        comparison = record.compared(result, told, tables)
+        differs = not comparison.is_equal
+        if not quiet:
+            say(f"\n{comparison.summary()}\n")
     stated = do_not_use_text(result.verdict)
-    if outputs.output is None or not stated:
-        return
-    if outputs.accept:
+    withheld = outputs.output is not None and bool(stated)
+    if withheld and outputs.accept:
         say_accepted(f"'{outputs.output}'", stated)
+    if differs and (outputs.accept or not withheld):
+        raise typer.Exit(ExitStatus.NOT_ACCEPTED)
+    if outputs.output is None or not stated or outputs.accept:
         return
     message = refusal("this calibration", stated)
     if outputs.output.exists():

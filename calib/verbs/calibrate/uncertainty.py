@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -310,6 +310,11 @@ class Profile:
     high: float
     #: Probability that the interval holds the true value
     level: float
+
+
+def profile_table(parameter: ParameterEstimate, interval: Profile) -> dict[str, Any]:
+    """Return the profile-likelihood interval of a parameter as an entry of ``profiles`` of a result file."""
+    return {"name": parameter.name, "unit": parameter.unit, **asdict(interval)}
 
 
 @one_blas_thread()
