@@ -201,6 +201,9 @@ def fresh_stops(reference: Reference, measurements: TableInput, cell: Cell) -> t
     """Read fresh rows as stops, compared with what a result predicts; errors as of `check`."""
     result = reference.result
     known = result.complete_cell(with_chain_of_result(cell, result, "The calibration"))
+    if result.non_geometric is not None:
+        payload = known.payload or result.non_geometric.payload
+        known = replace(known, payload=payload, gravity=result.non_geometric.gravity)
     arm, table, known = inputs_of(result.nominal, measurements, known)
     rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
     rows = _in_result(reference, rows, setup.groups, setup.targets, table.source)
