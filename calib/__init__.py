@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from calib.verbs.bag.bag import bag as bag
     from calib.verbs.base_frame.base_frame import base_frame as base_frame
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
+    from calib.verbs.check.check import CheckResult as CheckResult, check as check
+    from calib.verbs.check.poses import check_poses as check_poses, further_poses as further_poses
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
     from calib.verbs.compare.trend import RobotTrend as RobotTrend, trend as trend
     from calib.verbs.compensate.commands import Commands as Commands
@@ -65,6 +67,8 @@ from calib.version import __version__ as __version__
 _NAMES = {
     "calib.result.calibration": "Calibration",
     "calib.result.calibrate": "calibrate",
+    "calib.verbs.check.check": "CheckResult check",
+    "calib.verbs.check.poses": "check_poses further_poses",
     "calib.verbs.compare.comparison": "Comparison compare",
     "calib.verbs.compare.trend": "RobotTrend trend",
     "calib.verbs.evaluate.evaluation": "Evaluation evaluate",

@@ -36,6 +36,7 @@ VERBS = (
     "base-frame",
     "calibrate",
     "evaluate",
+    "check",
     "compare",
     "convert",
     "compensate",
@@ -50,7 +51,6 @@ _EARLIER = {"fit": "calibrate"}
 #: Verbs that are meant by words of other programs, which are proposed in place of them.
 _MEANT = {
     "acceptance": "evaluate",
-    "check": "evaluate",
     "correct": "compensate",
     "diff": "compare",
     "estimate": "calibrate",

@@ -40,6 +40,7 @@ VERBS: dict[str, set[str]] = {
     "base_frame": set(),
     "board": set(),
     "calibrate": {"view"},
+    "check": {"detect", "plan"},
     "compare": {"view"},
     "compensate": set(),
     "convert": set(),

@@ -105,8 +105,6 @@ class CheckResult(Value):
     numbers: int
     #: Norm of measured minus predicted over its expectation, rms over all numbers; 1 if nothing has moved
     ratio: float
-    #: What would have been noticed
-    noticed: tuple[Noticed, ...]
     #: Expected error of the result at a new point, rms [m]
     expected: float
     #: Tolerance of positions, as given [m]; None: none
@@ -116,6 +114,8 @@ class CheckResult(Value):
     stack: Stack
     causes: tuple[Cause, ...]
     directions: tuple[Directions, ...]
+    #: The distribution of the evidence if nothing has moved
+    test: Test
 
     def __repr__(self) -> str:
         """One line: the answer."""
@@ -151,6 +151,11 @@ class CheckResult(Value):
             return self.findings[:1]
         total = np.cumsum([finding.probability for finding in self.findings])
         return self.findings[: int(np.searchsorted(total, NAMED)) + 1]
+
+    @property
+    def noticed(self) -> tuple[Noticed, ...]:
+        """The smallest displacement of each cause that would have been noticed; it is computed when it is asked for."""
+        return tuple(_noticed(self.test, self.stack, cause) for cause in moving_causes(self.reference))
 
     @property
     def matters(self) -> bool | None:
@@ -271,13 +276,13 @@ def judged(reference: Reference, stops: tuple[Stop, ...], tolerance: float | Non
         stops=len(stops),
         numbers=len(stack.y),
         ratio=float(np.sqrt(np.mean(stack.y**2))),
-        noticed=tuple(_noticed(test, stack, cause) for cause in moving),
         expected=reference.part.new_point[0],
         tolerance=tolerance,
         reference=reference,
         stack=stack,
         causes=causes,
         directions=directions,
+        test=test,
     )
 
 
