@@ -25,6 +25,9 @@ Code = Literal["frame", "target", "base", "hand", "joint", "row", "other"]
 #: What can have moved, in contrast to rows that are off.
 MOVING: tuple[Code, ...] = ("frame", "target", "base", "hand", "joint")
 
+#: Weight beforehand of all stops being displaced differently, in that of a single cause: it explains whatever comes.
+_SEVERAL = 0.1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cause(Value):
@@ -107,7 +110,7 @@ def causes_of(moving: Sequence[Cause], stack: Stack) -> tuple[tuple[Cause, ...],
 
     Returns:
         K causes: those that show at all, each as probable as any other beforehand; a single stop that is off, together
-        as probable as one of these; and all stops displaced differently. And the directions of each.
+        as probable as one of these; and, less probable, all stops displaced differently. And the directions of each.
     """
     causes, directions = [], []
     for cause in moving:
@@ -123,5 +126,5 @@ def causes_of(moving: Sequence[Cause], stack: Stack) -> tuple[tuple[Cause, ...],
             causes.append(Cause("row", "", nothing, six, stop.rows, stop.image))
             directions.append(Directions.of(derivative, 1.0 / len(alone)))
     causes.append(Cause("other", "", nothing, six))
-    directions.append(Directions.of(np.hstack(alone), 1.0))
+    directions.append(Directions.of(np.hstack(alone), _SEVERAL))
     return tuple(causes), tuple(directions)

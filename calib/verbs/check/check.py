@@ -105,7 +105,7 @@ class CheckResult(Value):
     numbers: int
     #: Norm of measured minus predicted over its expectation, rms over all numbers; 1 if nothing has moved
     ratio: float
-    #: Expected error of the result at a new point, rms [m]
+    #: Expected error of the result at a new point, rms, without that of the instrument's scale [m]
     expected: float
     #: Tolerance of positions, as given [m]; None: none
     tolerance: float | None
@@ -245,8 +245,20 @@ def _in_result(
     return replace(rows, samples=replace(samples, frame=frame, target=target))
 
 
-def judged(reference: Reference, stops: tuple[Stop, ...], tolerance: float | None = None) -> CheckResult:
-    """Weigh the causes by stops that were compared with a result."""
+def judged(
+    reference: Reference,
+    stops: tuple[Stop, ...],
+    tolerance: float | None = None,
+    test: Test | None = None,
+) -> CheckResult:
+    """Weigh the causes by stops that were compared with a result.
+
+    Args:
+        reference: The result.
+        stops: The fresh stops.
+        tolerance: As of `check`.
+        test: Of an earlier check at the same poses; None: its distribution is drawn.
+    """
     result = reference.result
     stack = stacked(stops)
     moving = moving_causes(reference)
@@ -254,7 +266,8 @@ def judged(reference: Reference, stops: tuple[Stop, ...], tolerance: float | Non
     freedom = result.noise.freedom
     weights = logsumexp(log_weights(directions, stack.y[:, None], freedom)[:, :, 0], axis=1)
     evidence = float(logsumexp(weights))
-    test = Test.of(directions, len(stack.y), freedom)
+    if test is None:
+        test = Test.of(directions, len(stack.y), freedom)
     p_value = test.p_value(evidence)
     probability = np.exp(weights - evidence)
     findings = []
@@ -276,7 +289,7 @@ def judged(reference: Reference, stops: tuple[Stop, ...], tolerance: float | Non
         stops=len(stops),
         numbers=len(stack.y),
         ratio=float(np.sqrt(np.mean(stack.y**2))),
-        expected=reference.part.new_point[0],
+        expected=_expected(reference),
         tolerance=tolerance,
         reference=reference,
         stack=stack,
@@ -284,6 +297,12 @@ def judged(reference: Reference, stops: tuple[Stop, ...], tolerance: float | Non
         directions=directions,
         test=test,
     )
+
+
+def _expected(reference: Reference) -> float:
+    """Return the expected error at poses like those measured, without that of the scale, which nothing moves [m]."""
+    part = reference.part
+    return float(np.sqrt(max(part.new_point[0] ** 2 - part.by_scale[0] ** 2, 0.0)))
 
 
 def _finding(

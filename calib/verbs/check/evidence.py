@@ -25,7 +25,7 @@ from calib.basics.arrays import Array
 from calib.basics.values import Value
 
 #: Standard deviations of a displacement, from what a tracker sees to what anybody sees [m].
-SIZES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+SIZES = (3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 #: Probability that something is said to have moved if nothing has.
 LEVEL = 0.005

@@ -26,11 +26,15 @@ from calib.fit.registration.rows import Rows
 from calib.model.internals import InternalValues
 from calib.model.kinematics import Kinematics, Sightings
 from calib.model.parameter_sets import DIRECTIONS, error_model
+from calib.result.board_errors import BoardErrors
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel
 
 #: Lever at whose end a turn counts as much as a shift [m].
 LEVER = 0.3
+
+#: Least share of a held-out square that is not the parameters' error.
+_LEAST_KEPT = 0.5
 
 #: Singular values below this share of the largest are rounding.
 _ROUNDING = 1e-9
@@ -215,22 +219,30 @@ class Reference(Value):
         root = np.zeros((len(rows), 6, 6))
         if self.shared > 0.0:
             root[:, :3, :3] = np.sqrt(self.shared) * self.sigma["m"] * np.eye(3)
-        board, twists = self.part.board, seen.twists
         images = np.flatnonzero(rows.is_image)
-        if board is None or twists is None or not len(images):
+        if self.part.board is None or not len(images):
             return root
-        # Held-out views also miss by the error of the parameters, which S has by itself.
-        by_parameters = twists[images] @ self.parameter_root
-        moved, turned = (np.mean(np.sum(by_parameters[:, part] ** 2, axis=(1, 2))) for part in (slice(0, 3), slice(3, 6)))
-        left = max(board.predicted**2 - moved, 0.0) / max(board.predicted**2, np.finfo(float).tiny)
-        across, depth = left * board.predicted_across**2 / 2.0, left * board.predicted_depth**2
-        turn = max(board.turn**2 - board.turn_alone**2 - turned, 0.0) / 3.0
+        across, depth, turn = self._lacking_of_boards(self.part.board)
         sight = rows.points(seen.T_frame_target)[images]
         sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
         along = sight[:, :, None] * sight[:, None, :]
-        root[images, :3, :3] = np.sqrt(across) * (np.eye(3) - along) + np.sqrt(depth) * along
-        root[images, 3:, 3:] = np.sqrt(turn) * np.eye(3)
+        root[images, :3, :3] = across * (np.eye(3) - along) + depth * along
+        root[images, 3:, 3:] = turn * np.eye(3)
         return root
+
+    def _lacking_of_boards(self, board: BoardErrors) -> tuple[float, float, float]:
+        """Return what displaces a board anew in each view, as held-out views show: across, depth [m], turn [rad].
+
+        Each is a standard deviation, along or about one axis. A view that was held out also misses by the error of p
+        parameters that n numbers of all views determine, which S has by itself: by the mean leverage p / n its square
+        is larger. Depth shows so little that it is no less than what shows across.
+        """
+        placed = sum(parameter.internal is None for parameter in self.part.model.parameters)
+        kept = max(1.0 - placed / (6.0 * board.views), _LEAST_KEPT)
+        across = max(kept * board.across**2 - board.across_alone**2, 0.0) / 2.0
+        depth = max(kept * board.predicted_depth**2, across)
+        turn = max(kept * board.turn**2 - board.turn_alone**2, 0.0) / 3.0
+        return float(np.sqrt(across)), float(np.sqrt(depth)), float(np.sqrt(turn))
 
 
 def _scalars_of_a_row(result: Calibration, unit: str) -> float:

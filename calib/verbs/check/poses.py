@@ -46,7 +46,7 @@ from calib.verbs.plan.pose_candidates import draw, draw_towards, planning_ranges
 from calib.verbs.plan.sensitivity import Sensitivity, View
 
 #: What a drawn displacement shows at a pose, in standard deviations of a number.
-_SHOWN = 5.0
+_SHOWN = 4.0
 
 #: Draws of each cause's displacement.
 _DRAWS = 16
@@ -162,12 +162,16 @@ class _Sheet:
         return self.sensitivity.sightlines
 
 
-class _Candidates(NamedTuple):
+class Candidates(NamedTuple):
     """Reachable poses, as stops."""
 
+    #: Shape (n, m), [rad] or [m]
     joints: Array
+    #: One for each
     stops: tuple[Stop, ...]
+    #: Whether they are known to be free of collision of the robot's own shapes
     collisions_checked: bool
+    #: The model of the robot with its instrument
     sensitivity: Sensitivity
 
 
@@ -197,7 +201,7 @@ def check_poses(
     check_whole("count", count, 1)
     result = result_of(calibration)
     reference = Reference.of(result)
-    candidates = _candidates(reference, cell_of(cell), seed)
+    candidates = candidates_of(reference, cell_of(cell), seed)
     moving = moving_causes(reference)
     value = _value_of_sets(reference, moving, candidates, count, seed)
     rng = np.random.default_rng(seed)
@@ -222,7 +226,12 @@ def check_poses(
 
 @one_blas_thread()
 def further_poses(
-    check: CheckResult, cell: CellInput = None, *, seed: int = 0, most: int = MOST
+    check: CheckResult,
+    cell: CellInput = None,
+    *,
+    seed: int = 0,
+    most: int = MOST,
+    candidates: Candidates | None = None,
 ) -> CheckPoses:
     """Choose further poses that tell apart the causes that a check could not, and say how many are needed.
 
@@ -231,6 +240,7 @@ def further_poses(
         cell: As of `check_poses`.
         seed: Of the poses that are drawn.
         most: The most poses that are chosen.
+        candidates: Poses to choose from, as `candidates_of` draws them; None: they are drawn.
 
     Returns:
         The poses, as many as decide with 90 %, or the most; measure them in addition.
@@ -241,7 +251,8 @@ def further_poses(
     if check.outcome != "undecided":
         raise ModelError(f"The check has decided ('{check.outcome}'): no further poses are needed.")
     reference, freedom = check.reference, check.result.noise.freedom
-    candidates = _candidates(reference, cell_of(cell), seed)
+    if candidates is None:
+        candidates = candidates_of(reference, cell_of(cell), seed)
     rng = np.random.default_rng(seed)
     moving = moving_causes(reference)
 
@@ -302,7 +313,7 @@ def _key(cause: object) -> tuple[object, ...]:
 def _value_of_sets(
     reference: Reference,
     moving: Sequence[Cause],
-    candidates: _Candidates,
+    candidates: Candidates,
     count: int,
     seed: int,
 ) -> Callable[[Sequence[Stop]], float]:
@@ -340,8 +351,17 @@ def _value_of_sets(
     return value
 
 
-def _candidates(reference: Reference, cell: Cell, seed: int) -> _Candidates:
-    """Draw reachable poses at which the first target is measured from the first frame; `ModelError` if there are none."""
+def candidates_of(reference: Reference, cell: Cell, seed: int) -> Candidates:
+    """Draw reachable poses at which the first target is measured from the first frame.
+
+    Args:
+        reference: The result.
+        cell: Boxes, joint ranges, tracker.
+        seed: Of the poses.
+
+    Raises:
+        ModelError: A robot of several chains, a kind whose poses cannot be chosen, or no pose can be measured.
+    """
     result, setup = reference.result, reference.part.setup
     robot = reference.displaced.robot
     if robot.branches:
@@ -402,7 +422,7 @@ def _candidates(reference: Reference, cell: Cell, seed: int) -> _Candidates:
     numbers = np.repeat(np.arange(n), k)
     tiled = replace(tiled, samples=samples, poses=np.arange(len(q)), blocks=numbers)
     stops = reference.stops(tiled, (), [int(number) + 1 for number in numbers], ())
-    return _Candidates(pool.q, stops, checked, sensitivity)
+    return Candidates(pool.q, stops, checked, sensitivity)
 
 
 def _in_order(joints: Array) -> Array:

@@ -64,7 +64,7 @@ def poses_text(poses: CheckPoses) -> str:
     """Say what poses to check at are worth."""
     (probability,) = poses.probabilities
     lines = [
-        f"{plural(len(poses.joints), 'pose')} to check at: a cause that shows five standard deviations at a pose would "
+        f"{plural(len(poses.joints), 'pose')} to check at: a cause that shows four standard deviations at a pose would "
         f"get a probability of {probability:.2f} on average."
     ]
     lines.append(_collisions(poses))
@@ -102,6 +102,9 @@ def _meaning(c: CheckResult) -> Iterator[str]:
         f"{compared} than {what} of {mm(allowed)} mm."
     )
     if c.outcome != "moved":
+        return
+    if not c.matters:
+        yield "It does not matter yet."
         return
     if best.code == "joint":
         yield "The robot's own calibration no longer holds: calibrate again."
