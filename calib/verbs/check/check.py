@@ -16,9 +16,13 @@ from scipy.special import logsumexp
 from calib.basics.arguments import check_number, check_path
 from calib.basics.arrays import Array
 from calib.basics.jobs import one_blas_thread
+from calib.basics.tables import Table
 from calib.basics.values import Value, shown_by
 from calib.data.cell import Cell
+from calib.data.columns import SETS
 from calib.data.inputs import CellInput, TableInput, cell_of, inputs_of
+from calib.data.forms.column_options import ColumnsInput
+from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
 from calib.fit.registration.board_ends import with_ends_of
 from calib.fit.registration.rows import Rows
@@ -209,6 +213,8 @@ def fresh_stops(reference: Reference, measurements: TableInput, cell: Cell) -> t
     if result.non_geometric is not None:
         payload = known.payload or result.non_geometric.payload
         known = replace(known, payload=payload, gravity=result.non_geometric.gravity)
+    if isinstance(measurements, (str, Path)):
+        measurements = read_fresh(result, measurements)
     arm, table, known = inputs_of(result.nominal, measurements, known)
     rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
     rows = _in_result(reference, rows, setup.groups, setup.targets, table.source)
@@ -223,6 +229,43 @@ def fresh_stops(reference: Reference, measurements: TableInput, cell: Cell) -> t
         raise MeasurementError(f"{table.source or 'Measurements'}: no row measures anything.")
     stated = {unit for unit, values in table.stated_sigma.items() if np.isfinite(values).all()}
     return reference.stops(rows, stated | set(cell.sigma), table.rows, table.images)
+
+
+def read_fresh(
+    result: Calibration,
+    path: str | Path,
+    columns: ColumnsInput = None,
+    points: str | Path | None = None,
+    points_unit: str | None = None,
+) -> Measurements:
+    """Read a table of fresh rows; those of the set ``validate`` count like those of ``estimate``.
+
+    Args:
+        result: The result that they are compared with, whose joints are its columns.
+        path: The table.
+        columns: Names and units of its columns, as by ``--columns``; None: as they are.
+        points: A list of measured points; None: they are in the table.
+        points_unit: Unit of that list; None: as it says.
+
+    Raises:
+        MeasurementError: The table cannot be read as one of this robot.
+    """
+    arm, table = result.nominal, Table.read(path)
+    estimate, validate = SETS
+    if "set" in table.header:
+        k = table.header.index("set")
+        changed = [[*row[:k], estimate, *row[k + 1 :]] if row[k] == validate else row for row in table.cells]
+        table = replace(table, cells=tuple(changed))
+    return Measurements.read(
+        table,
+        arm.joint_names,
+        arm.joint_types,
+        columns,
+        None,
+        points,
+        points_unit,
+        needs_all_joints=not arm.branches,
+    )
 
 
 def _in_result(

@@ -82,11 +82,9 @@ def check(
     quiet: Quiet = False,
 ) -> None:
     """Check, or choose poses; write the files and print the answer; exit status 3 if something has moved."""
-    from calib.basics.tables import Table
     from calib.basics.units import LENGTH, parse_amount
-    from calib.data.measurements import Measurements
     from calib.result.calibration_file import read_result
-    from calib.verbs.check.check import check as check_rows
+    from calib.verbs.check.check import check as check_rows, read_fresh
     from calib.verbs.check.check_file import write_check
     from calib.verbs.check.poses import check_poses, further_poses
     from calib.verbs.check.text import check_text, poses_text
@@ -112,18 +110,10 @@ def check(
         return
 
     assert data is not None
-    known, arm = reference.complete_cell(cell), reference.nominal
+    known = reference.complete_cell(cell)
     with table_of(data, list(known.boards.values()), list(known.cameras.values()), quiet=quiet) as path:
-        rows = Measurements.read(
-            Table.read(path),
-            arm.joint_names,
-            arm.joint_types,
-            table_options.parsed(),
-            cell.kind,
-            table_options.points,
-            table_options.points_unit,
-            needs_all_joints=not arm.branches,
-        )
+        points, unit = table_options.points, table_options.points_unit
+        rows = read_fresh(reference, path, table_options.parsed(), points, unit)
     checked = check_rows(reference, rows, cell, tolerance=allowed)
     more = None
     if checked.outcome == "undecided":

@@ -30,14 +30,14 @@ def answer(c: CheckResult) -> str:
         return "Nothing has moved."
     best = c.findings[0]
     if c.outcome == "undecided":
-        names = [f"{_name(c, finding)} (P = {_probability(finding)})" for finding in c.named]
+        names = [f"{_name(c, finding)} (P {_probability(finding)})" for finding in c.named]
         return f"Something has moved: {' or '.join(names)}."
     if c.outcome == "row":
-        return f"{_name(c, best).capitalize()} alone is off (P = {_probability(best)}): measure it again."
+        return f"{_name(c, best).capitalize()} alone is off (P {_probability(best)}): measure it again."
     if c.outcome == "other":
         return "Something is off, and no single cause explains it."
     name = _name(c, best)
-    return f"{name[0].upper()}{name[1:]} has moved: {_moved(c, best)} (P = {_probability(best)})."
+    return f"{name[0].upper()}{name[1:]} has moved: {_moved(c, best)} (P {_probability(best)})."
 
 
 def check_text(c: CheckResult, more: CheckPoses | None = None) -> str:
@@ -79,7 +79,7 @@ def _causes(c: CheckResult) -> Iterator[str]:
         if finding.probability < _LISTED:
             continue
         name = _name(c, finding)
-        line = f"  P = {_probability(finding)}  {name}: {_moved(c, finding)}"
+        line = f"  P {_probability(finding)}  {name}: {_moved(c, finding)}"
         if finding.code == "joint":
             line += f"; positions by {mm(finding.change)} ± {mm(finding.change_std)} mm"
         yield line
@@ -160,7 +160,7 @@ def _noticed(c: CheckResult) -> Iterator[str]:
 
 def _probability(finding: Finding) -> str:
     """Write a probability."""
-    return f"> {_NEAREST}" if finding.probability > _NEAREST else f"{finding.probability:.3f}"
+    return f"> {_NEAREST}" if finding.probability > _NEAREST else f"= {finding.probability:.3f}"
 
 
 def _moved(c: CheckResult, finding: Finding) -> str:
