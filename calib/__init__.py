@@ -40,6 +40,8 @@ if TYPE_CHECKING:
         Certificate as Certificate,
         certificate as certificate,
     )
+    from calib.verbs.check.check import CheckResult as CheckResult, check as check
+    from calib.verbs.check.poses import check_poses as check_poses, further_poses as further_poses
     from calib.verbs.compare.comparison import Comparison as Comparison, compare as compare
     from calib.verbs.compare.trend import RobotTrend as RobotTrend, trend as trend
     from calib.verbs.compensate.commands import Commands as Commands
@@ -70,6 +72,8 @@ _NAMES = {
     "calib.result.calibration": "Calibration",
     "calib.result.calibrate": "calibrate",
     "calib.verbs.certificate.certificate": "Certificate certificate",
+    "calib.verbs.check.check": "CheckResult check",
+    "calib.verbs.check.poses": "check_poses further_poses",
     "calib.verbs.compare.comparison": "Comparison compare",
     "calib.verbs.compare.trend": "RobotTrend trend",
     "calib.verbs.evaluate.evaluation": "Evaluation evaluate",

@@ -37,6 +37,7 @@ VERBS = (
     "calibrate",
     "evaluate",
     "certificate",
+    "check",
     "compare",
     "convert",
     "compensate",
@@ -52,7 +53,6 @@ _EARLIER = {"fit": "calibrate"}
 _MEANT = {
     "acceptance": "evaluate",
     "certify": "certificate",
-    "check": "evaluate",
     "correct": "compensate",
     "diff": "compare",
     "estimate": "calibrate",

@@ -41,6 +41,7 @@ VERBS: dict[str, set[str]] = {
     "board": set(),
     "calibrate": {"view"},
     "certificate": {"evaluate"},
+    "check": {"detect", "plan"},
     "compare": {"view"},
     "compensate": set(),
     "convert": set(),

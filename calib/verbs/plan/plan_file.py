@@ -15,12 +15,12 @@ from collections.abc import Iterator, Mapping
 from functools import singledispatch
 from itertools import compress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 import calib.data.kinds as registry
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.files import csv_bytes, write_atomically
 from calib.basics.tables import Column, Table
@@ -34,13 +34,14 @@ from calib.data.measurements import Measurements
 from calib.data.values import read_values
 from calib.errors import MeasurementError
 from calib.instruments.camera import CameraInstrument, board_tilts
-from calib.instruments.instrument import Instrument
+from calib.instruments.instrument import Instrument, Sightline
 from calib.numerics.moves import SAME_POSE, last_moves
 from calib.robot.coupled_readings import coupling_table
 from calib.robot.robot import Robot
 from calib.verbs.plan.approach import side_name
 from calib.verbs.plan.forecast import Forecast
 from calib.verbs.plan.plan import Plan
+from calib.verbs.plan.sensitivity import View
 from calib.version import __version__
 
 SCHEMA = "plan 2"
@@ -56,6 +57,54 @@ _NUMBER = re.compile(r"\d+")
 
 
 # The table
+
+
+class Sheet(Protocol):
+    """What is written of poses in a table: of a `Plan`, or of other poses to measure, see there."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+    @property
+    def joints(self) -> Array:
+        """Joint values of K poses, (K, m)."""
+
+    @property
+    def moves(self) -> Array:
+        """Last move of each joint before each pose, (K, m)."""
+
+    @property
+    def via(self) -> Array | None:
+        """Joint values to drive to before each pose, (K, m); None: straight."""
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """The set of each pose."""
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The targets."""
+
+    @property
+    def expected(self) -> Array:
+        """Expected places, (K, k, 3)."""
+
+    @property
+    def sights(self) -> tuple[Sight, ...]:
+        """Station and target of each of the k places."""
+
+    @property
+    def seen(self) -> Mask:
+        """Which of them are measured, (K, k)."""
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """What the instruments measure at a pose."""
+
+    @property
+    def sightlines(self) -> tuple[Sightline, ...]:
+        """Each instrument and its first target."""
 
 
 def write_plan(
@@ -88,7 +137,7 @@ def write_plan(
 
 
 @singledispatch
-def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
+def plan_rows(instrument: Instrument, plan: Sheet, number: int) -> Iterator[dict[str, str]]:
     """Yield the cells of each row of a plan by the headers of their columns, in the order to drive.
 
     A pose that is only driven through has a row of its own.
@@ -139,7 +188,7 @@ def plan_rows(instrument: Instrument, plan: Plan, number: int) -> Iterator[dict[
 
 
 @plan_rows.register
-def _(instrument: CameraInstrument, plan: Plan, number: int) -> Iterator[dict[str, str]]:
+def _(instrument: CameraInstrument, plan: Sheet, number: int) -> Iterator[dict[str, str]]:
     """Yield the cells of each image by the headers of their columns, the images numbered from ``number`` on.
 
     There are no row numbers, because a table of corners has many rows of an image.
@@ -192,7 +241,7 @@ def first_rows(plan: Plan, number: int) -> list[int]:
 
 
 def distances_and_tilts(
-    instrument: CameraInstrument, plan: Plan, sight: int = 0
+    instrument: CameraInstrument, plan: Sheet, sight: int = 0
 ) -> tuple[Array, Array]:
     """Return the expected distances (K,) [m] and tilts (K,) [rad] of a board at the poses of a plan, seen or not.
 
@@ -206,7 +255,7 @@ def distances_and_tilts(
     return instrument.board_distances(T_camera_board), tilts
 
 
-def _of_all_boards(plan: Plan) -> tuple[Array, Array]:
+def _of_all_boards(plan: Sheet) -> tuple[Array, Array]:
     """Return the expected distances [m] and tilts [rad] at the poses of a plan of images, for each sight, (K, k)."""
     columns = []
     for k, view in enumerate(plan.views):

@@ -1,0 +1,419 @@
+"""check: has anything moved since a calibration, and what, by a few fresh rows?
+
+The evidence and the test are those of `calib.verbs.check.evidence`, the numbers that they weigh those of
+`calib.verbs.check.innovations`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.special import logsumexp
+
+from calib.basics.arguments import check_number, check_path
+from calib.basics.arrays import Array
+from calib.basics.jobs import one_blas_thread
+from calib.basics.tables import Table
+from calib.basics.values import Value, shown_by
+from calib.data.cell import Cell
+from calib.data.columns import SETS
+from calib.data.inputs import CellInput, TableInput, cell_of, inputs_of
+from calib.data.forms.column_options import ColumnsInput
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError, ModelError, choices
+from calib.fit.registration.board_ends import with_ends_of
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.model.kinematics import Samples
+from calib.result.calibration import Calibration
+from calib.result.calibration_file import ResultInput, result_of
+from calib.result.chain_of_result import with_chain_of_result
+from calib.robot.ranges import spread_between, spread_poses
+from calib.verbs.check.causes import MOVING, Cause, Code, causes_of, moving_causes
+from calib.verbs.check.evidence import Directions, Test, estimate, log_weights
+from calib.verbs.check.innovations import LEVER, Reference, Stack, Stop, numbered_as, stacked
+
+#: ``"nothing"``: no evidence that anything has moved; ``"moved"``: one cause has at least `SURE`; ``"undecided"``:
+#: something has moved, and several causes explain it; ``"row"``: a single stop is off; ``"other"``: none of the causes.
+Outcome = Literal["nothing", "moved", "undecided", "row", "other"]
+
+#: A cause with this probability, if something has moved, is named alone.
+SURE = 0.95
+
+#: Several causes are named until they have this probability together.
+NAMED = 0.99
+
+#: Joint values over which the effect of a displacement is averaged.
+_POSES = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding(Value):
+    """A cause, how probable it is, and what it would have done."""
+
+    #: ``"frame"``, ``"target"``, ``"base"``, ``"hand"``, ``"joint"``, ``"row"`` or ``"other"``
+    code: Code
+    #: Name of the frame, target or joint; empty for the only one
+    name: str
+    #: Probability, if something is off at all
+    probability: float
+    #: Change of a joint's zero [rad] or [m]; of others the distance by which the target is displaced at the fresh
+    #: poses, rms [m]
+    size: float
+    #: Its standard deviation
+    size_std: float
+    #: ``"m"`` or ``"rad"``
+    unit: str
+    #: Angle by which something has turned [rad]; NaN if it does not show
+    turn: float
+    #: Change of the target's positions over the fitted joint values, rms [m]; NaN for rows and others
+    change: float
+    #: Its standard deviation [m]
+    change_std: float
+    #: Rows that are off, for the code ``"row"``
+    rows: tuple[int, ...] = ()
+    #: Their image
+    image: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Noticed(Value):
+    """The smallest displacement of a cause that these stops would have shown in 95 of 100 checks."""
+
+    code: Code
+    name: str
+    #: Shift in the direction that shows least [m]; of a sliding joint its zero; infinite if it does not show, NaN if
+    #: there is none
+    shift: float
+    #: Turn about the axis that shows least, through the base or the target [rad]; of a joint its zero; infinite, NaN
+    turn: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CheckResult(Value):
+    """What a few fresh rows say about a stored result."""
+
+    result: Calibration
+    outcome: Outcome
+    #: Probability of as much evidence if nothing has moved
+    p_value: float
+    #: Probability of "nothing", with equal odds beforehand
+    nothing: float
+    #: The causes, the most probable first
+    findings: tuple[Finding, ...]
+    #: Number of stops, and of numbers that they measure, an image's as six
+    stops: int
+    numbers: int
+    #: Norm of measured minus predicted over its expectation, rms over all numbers; 1 if nothing has moved
+    ratio: float
+    #: Expected error of the result at a new point, rms, without that of the instrument's scale [m]
+    expected: float
+    #: Tolerance of positions, as given [m]; None: none
+    tolerance: float | None
+    #: What is compared, and the whitened stops
+    reference: Reference
+    stack: Stack
+    causes: tuple[Cause, ...]
+    directions: tuple[Directions, ...]
+    #: The distribution of the evidence if nothing has moved
+    test: Test
+
+    def __repr__(self) -> str:
+        """One line: the answer."""
+        return str(shown_by("verbs.check.text").answer(self))
+
+    def summary(self) -> str:
+        """Return the answer as text, as ``calib check`` prints it."""
+        return str(shown_by("verbs.check.text").check_text(self))
+
+    def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the answer as JSON, in SI units; see docs/check.md.
+
+        Args:
+            path: The file.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            ArgumentError: The path is of another type.
+            FileError: The file exists, or cannot be written.
+        """
+        check_path("path", path)
+        return Path(shown_by("verbs.check.check_file").write_check(self, path, overwrite=overwrite))
+
+    @property
+    def named(self) -> tuple[Finding, ...]:
+        """The causes that are named: none, the one that is sure, or those that together are."""
+        if self.outcome == "nothing":
+            return ()
+        if self.outcome != "undecided":
+            return self.findings[:1]
+        total = np.cumsum([finding.probability for finding in self.findings])
+        return self.findings[: int(np.searchsorted(total, NAMED)) + 1]
+
+    @property
+    def noticed(self) -> tuple[Noticed, ...]:
+        """The smallest displacement of each cause that would have been noticed; it is computed when it is asked for."""
+        return tuple(_noticed(self.test, self.stack, cause) for cause in moving_causes(self.reference))
+
+    @property
+    def matters(self) -> bool | None:
+        """Whether the likeliest cause changes positions by more than the tolerance, or the expected error without one.
+
+        None: nothing has moved, or its effect is not known.
+        """
+        if not self.named or not np.isfinite(self.named[0].change):
+            return None
+        allowed = self.expected if self.tolerance is None else self.tolerance
+        return bool(self.named[0].change > allowed)
+
+
+@one_blas_thread()
+def check(
+    calibration: ResultInput,
+    measurements: TableInput,
+    cell: CellInput = None,
+    *,
+    tolerance: float | None = None,
+) -> CheckResult:
+    """Check by a few fresh rows whether anything has moved since a calibration, and what.
+
+    Args:
+        calibration: The result, or the path of its file.
+        measurements: The fresh rows, or the path of their table; three stops are enough if they are chosen well, see
+            `check_poses`. All rows count, also those of the set ``validate``.
+        cell: Further facts, such as a payload or the sigma of the rows; None: there are none.
+        tolerance: Change of positions that does not matter [m]; None: the result's expected error.
+
+    Returns:
+        The outcome, the probability of each cause, how far it has moved, and what would not have been noticed.
+
+    Raises:
+        ArgumentError: An argument of another type.
+        MeasurementError: The table has no row that measures anything.
+        ModelError: It has a frame or a target that the result lacks.
+    """
+    result = result_of(calibration)
+    if tolerance is not None:
+        check_number("tolerance", tolerance, 0.0)
+    reference = Reference.of(result)
+    stops = fresh_stops(reference, measurements, cell_of(cell))
+    return judged(reference, stops, tolerance)
+
+
+def fresh_stops(reference: Reference, measurements: TableInput, cell: Cell) -> tuple[Stop, ...]:
+    """Read fresh rows as stops, compared with what a result predicts; errors as of `check`."""
+    result = reference.result
+    known = result.complete_cell(with_chain_of_result(cell, result, "The calibration"))
+    if result.non_geometric is not None:
+        payload = known.payload or result.non_geometric.payload
+        known = replace(known, payload=payload, gravity=result.non_geometric.gravity)
+    if isinstance(measurements, (str, Path)):
+        measurements = read_fresh(result, measurements)
+    arm, table, known = inputs_of(result.nominal, measurements, known)
+    rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
+    rows = _in_result(reference, rows, setup.groups, setup.targets, table.source)
+    from_one_end = with_ends_of(
+        table, known, rows, reference.part.setup, reference.displaced.robot.poses(rows.joints, rows.samples.chain)
+    )
+    if from_one_end.other_end:
+        table = from_one_end
+        rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
+        rows = _in_result(reference, rows, setup.groups, setup.targets, table.source)
+    if not rows.count:
+        raise MeasurementError(f"{table.source or 'Measurements'}: no row measures anything.")
+    stated = {unit for unit, values in table.stated_sigma.items() if np.isfinite(values).all()}
+    return reference.stops(rows, stated | set(cell.sigma), table.rows, table.images)
+
+
+def read_fresh(
+    result: Calibration,
+    path: str | Path,
+    columns: ColumnsInput = None,
+    points: str | Path | None = None,
+    points_unit: str | None = None,
+) -> Measurements:
+    """Read a table of fresh rows; those of the set ``validate`` count like those of ``estimate``.
+
+    Args:
+        result: The result that they are compared with, whose joints are its columns.
+        path: The table.
+        columns: Names and units of its columns, as by ``--columns``; None: as they are.
+        points: A list of measured points; None: they are in the table.
+        points_unit: Unit of that list; None: as it says.
+
+    Raises:
+        MeasurementError: The table cannot be read as one of this robot.
+    """
+    arm, table = result.nominal, Table.read(path)
+    estimate, validate = SETS
+    if "set" in table.header:
+        k = table.header.index("set")
+        changed = [[*row[:k], estimate, *row[k + 1 :]] if row[k] == validate else row for row in table.cells]
+        table = replace(table, cells=tuple(changed))
+    return Measurements.read(
+        table,
+        arm.joint_names,
+        arm.joint_types,
+        columns,
+        None,
+        points,
+        points_unit,
+        needs_all_joints=not arm.branches,
+    )
+
+
+def _in_result(
+    reference: Reference, rows: Rows, groups: tuple[str, ...], targets: tuple[str, ...], source: str
+) -> Rows:
+    """Number frames and targets of rows as the result does; `ModelError` if it lacks one."""
+    setup, samples = reference.part.setup, rows.samples
+    frame = numbered_as(groups, setup.groups, samples.frame)
+    target = numbered_as(targets, setup.targets, samples.target)
+    for what, found, of_table, known in (
+        ("stations", frame, groups, setup.groups),
+        ("targets", target, targets, setup.targets),
+    ):
+        if found is None:
+            lacking = [name for name in of_table if name not in known]
+            raise ModelError(
+                f"{source or 'Measurements'}: the result has the {what} {choices(known)}; the table's "
+                f"{choices(lacking)} are not among them. Check with rows of these."
+            )
+    return replace(rows, samples=replace(samples, frame=frame, target=target))
+
+
+def judged(
+    reference: Reference,
+    stops: tuple[Stop, ...],
+    tolerance: float | None = None,
+    test: Test | None = None,
+) -> CheckResult:
+    """Weigh the causes by stops that were compared with a result.
+
+    Args:
+        reference: The result.
+        stops: The fresh stops.
+        tolerance: As of `check`.
+        test: Of an earlier check at the same poses; None: its distribution is drawn.
+    """
+    result = reference.result
+    stack = stacked(stops)
+    moving = moving_causes(reference)
+    causes, directions = causes_of(moving, stack)
+    freedom = result.noise.freedom
+    weights = logsumexp(log_weights(directions, stack.y[:, None], freedom)[:, :, 0], axis=1)
+    evidence = float(logsumexp(weights))
+    if test is None:
+        test = Test.of(directions, len(stack.y), freedom)
+    p_value = test.p_value(evidence)
+    probability = np.exp(weights - evidence)
+    findings = []
+    for k in np.argsort(-probability, kind="stable").tolist():
+        findings.append(_finding(reference, stack, causes[k], directions[k], float(probability[k])))
+
+    outcome: Outcome = "nothing"
+    if evidence > test.limit:
+        best = findings[0]
+        outcome = "undecided"
+        if best.probability >= SURE:
+            outcome = "moved" if best.code in MOVING else "row" if best.code == "row" else "other"
+    return CheckResult(
+        result=result,
+        outcome=outcome,
+        p_value=p_value,
+        nothing=float(1.0 / (1.0 + np.exp(min(evidence - np.log(sum(d.prior for d in directions)), 700.0)))),
+        findings=tuple(findings),
+        stops=len(stops),
+        numbers=len(stack.y),
+        ratio=float(np.sqrt(np.mean(stack.y**2))),
+        expected=_expected(reference),
+        tolerance=tolerance,
+        reference=reference,
+        stack=stack,
+        causes=causes,
+        directions=directions,
+        test=test,
+    )
+
+
+def _expected(reference: Reference) -> float:
+    """Return the expected error at poses like those measured, without that of the scale, which nothing moves [m]."""
+    part = reference.part
+    return float(np.sqrt(max(part.new_point[0] ** 2 - part.by_scale[0] ** 2, 0.0)))
+
+
+def _finding(
+    reference: Reference, stack: Stack, cause: Cause, directions: Directions, probability: float
+) -> Finding:
+    """Estimate the displacement of a cause, and its effect."""
+    mean, covariance = estimate(directions, stack.y, reference.result.noise.freedom)
+    if cause.code not in MOVING:
+        shift = mean.reshape(-1, 6)[:, :3]
+        size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
+        spread = np.trace(covariance.reshape(len(shift), 6, len(shift), 6)[:, :3, :, :3].trace(0, 0, 2))
+        std = float(np.sqrt(spread / len(shift)))
+        return Finding(cause.code, "", probability, size, std, "m", np.nan, np.nan, np.nan, cause.rows, cause.image)
+    change, change_std = _effect(reference, cause, mean, covariance)
+    if cause.code == "joint":
+        unit = cause.units[0]
+        size, std = float(mean[0] * cause.scale[0]), float(np.sqrt(covariance[0, 0]) * cause.scale[0])
+        return Finding(cause.code, cause.name, probability, size, std, unit, np.nan, change, change_std)
+    turns = np.array([unit == "rad" for unit in cause.units])
+    visible = np.linalg.norm(directions.V[:, turns], axis=0) > 1e-6 if turns.any() else np.zeros(0)
+    turn = float(np.linalg.norm(mean[turns]) / LEVER) if np.any(visible) else np.nan
+    return Finding(cause.code, cause.name, probability, change, change_std, "m", turn, change, change_std)
+
+
+def _effect(reference: Reference, cause: Cause, mean: Array, covariance: Array) -> tuple[float, float]:
+    """Return the change of the target's positions over the fitted joint values, rms, and its standard deviation [m]."""
+    samples = _spread_samples(reference, cause)
+    _, twists = reference.displaced.twists(np.zeros(len(reference.displaced.model)), samples, rotation=False)
+    by_cause = twists @ cause.mixing
+    change = np.sqrt(np.mean(np.sum((by_cause @ mean) ** 2, axis=1)))
+    variance = np.mean(np.trace(by_cause @ covariance @ by_cause.transpose(0, 2, 1), axis1=1, axis2=2))
+    return float(change), float(np.sqrt(variance))
+
+
+def _spread_samples(reference: Reference, cause: Cause) -> Samples:
+    """Return joint values over the fitted ranges, of the frame and the target of a cause, or of the first ones."""
+    result, setup = reference.result, reference.part.setup
+    ranges = result.rows.ranges
+    robot = result.robot
+    q = spread_poses(robot)[:_POSES]
+    if np.isfinite(ranges).all():
+        q = spread_between(ranges, _POSES)
+    frame = setup.groups.index(cause.name) if cause.code == "frame" and cause.name else 0
+    target = setup.targets.index(cause.name) if cause.code == "target" and cause.name else 0
+    count = len(q)
+    of_frame, of_target = np.full(count, frame), np.full(count, target)
+    chain = None
+    if robot.branches:
+        try:
+            chain = setup.chains(robot, of_frame, of_target)
+        except ModelError:  # the first target is not seen from there
+            chain = np.zeros(count, dtype=np.int_)
+    return Samples(q, of_frame, of_target, chain=chain)
+
+
+def _noticed(test: Test, stack: Stack, cause: Cause) -> Noticed:
+    """Find the smallest shift and turn of a cause that would have been noticed in 95 of 100 checks."""
+    found = {}
+    for unit in ("m", "rad"):
+        chosen = np.array([of == unit for of in cause.units])
+        found[unit] = np.nan
+        derivative = (stack.by_displacements @ cause.mixing)[:, chosen]
+        size = np.linalg.norm(derivative, axis=0)
+        if not np.any(size > 1e-6):
+            continue  # as the turn of a point
+        U, singular, _ = np.linalg.svd(derivative, full_matrices=False)
+        found[unit] = np.inf
+        if len(singular) == int(chosen.sum()) and singular[-1] > 1e-6 * singular[0]:
+            length = test.detected_length(U[:, -1])
+            found[unit] = float(length / singular[-1] * (1.0 if unit == "m" else 1.0 / LEVER))
+    return Noticed(cause.code, cause.name, found["m"], found["rad"])
