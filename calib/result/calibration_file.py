@@ -39,6 +39,7 @@ from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
 from calib.diagnosis.coverage import OutsideRow
+from calib.diagnosis.frame_drift import FrameDrift, Movement, StillTarget
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError, PluginError, choices
 from calib.fit.registration.setup import Setup
@@ -310,6 +311,9 @@ _LAYOUT: JsonLayout = JsonLayout(
         },
         Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
         Candidate: {"name": "set", "prior_std": _PRIOR_STD},
+        FrameDrift: {"scatter": "scatter_m", "left": "left_m"},
+        StillTarget: {"scatter": "scatter_m"},
+        Movement: {"by": "by_m", "std": "std_m", "rotation": "rotation_rad"},
         Robustness: {
             "lowered": "weights_lowered",
             "moved_rms": "moved_rms_m",
