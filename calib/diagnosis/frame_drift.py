@@ -490,8 +490,8 @@ class _Station:
         rotations = (False, True) if self.shows_rotations else (False,)
         for rigid in rotations:
             for mover in self.frame_movers:
-                result.append(Change(Form.DRIFT, 0, mover, rigid))
-                result += [Change(Form.STEP, place, mover, rigid) for place in places]
+                result.append(Change(Form.DRIFT, 0, mover, rigid, not rigid))
+                result += [Change(Form.STEP, place, mover, rigid, not rigid) for place in places]
         for k, name in enumerate(self.names):
             mine = np.flatnonzero(self.target_of == k)
             if len(self.names) > 1 or with_poses:

@@ -13,11 +13,13 @@ Each source has its own unknown noise, so that its F test is exact. Of two sourc
     -2 (ln p_1 + ln p_2) ~ chi^2(4)
 
 and the readings must show the change by themselves too: residuals of poses alone may be the robot's. P-values are
-multiplied by the number of changes tried (Bonferroni), so that a table without any gives one with at most `LEVEL`.
+multiplied by the number of changes tried (Bonferroni), so that a table without any gives one with at most `LEVEL`. A
+third of that is for drifts of the frame, a third for its steps, and a third for all else.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -29,7 +31,7 @@ from calib.basics.arrays import Array, Integers, Mask
 from calib.basics.values import ReadOnlyMapping, Value
 
 #: The probability that a table without changes gives any.
-LEVEL = 0.01
+LEVEL = 0.02
 
 #: The readings alone must show a change with a p-value below this.
 _SHOWN = 0.05
@@ -66,6 +68,18 @@ class Change:
     mover: str
     #: Whether it rotates too
     rigid: bool = False
+    #: Whether it is one of the changes that are expected: a translation of the frame
+    usual: bool = False
+
+    @property
+    def kind(self) -> tuple[Form, str, bool]:
+        """What two changes have in common that differ in the place alone."""
+        return self.form, self.mover, self.rigid
+
+    @property
+    def family(self) -> tuple[Form, bool]:
+        """The changes that share a part of the probability of false alarms."""
+        return (self.form, True) if self.usual else (Form.READING, False)
 
     @property
     def unknowns(self) -> int:
@@ -197,7 +211,7 @@ def find_path(
             break
         found.append(new)
         found = _settled(sources, possible, found, level)
-        if new not in found and not any(_alike(new, one) for one in found):
+        if new not in found and new.kind not in {one.kind for one in found}:
             break
     found.sort(key=lambda change: (change.form is not Form.DRIFT, change.place))
     p = []
@@ -205,11 +219,6 @@ def find_path(
         others = [one for one in found if one is not change]
         p.append(_p_value(_beyond(sources, others), change, possible))
     return _estimated(sources, possible, found, p)
-
-
-def _alike(a: Change, b: Change) -> bool:
-    """Return whether two changes differ in the place alone."""
-    return (a.form, a.mover, a.rigid) == (b.form, b.mover, b.rigid)
 
 
 def _beyond(sources: Sequence[Evidence], changes: Iterable[Change]) -> tuple[Evidence, ...]:
@@ -226,7 +235,13 @@ def _most_likely(
 ) -> Change | None:
     """Return the most likely of the possible changes beside those found of which chance is excluded; None: none is."""
     beyond = _beyond(sources, found)
-    gains = {change: _gain(beyond, change) for change in possible if change not in found}
+    # Of changes that differ in the place alone each is as likely.
+    alike = Counter(change.kind for change in possible)
+    gains = {
+        change: _gain(beyond, change) - float(np.log(alike[change.kind]))
+        for change in possible
+        if change not in found
+    }
     for change in sorted(gains, key=lambda one: -gains[one]):
         if not gains[change] > 0.0:
             break
@@ -246,7 +261,7 @@ def _settled(
     for change in found:
         others = [one for one in settled if one is not change]
         beyond = _beyond(sources, others)
-        places = [one for one in possible if _alike(one, change) and one not in others]
+        places = [one for one in possible if one.kind == change.kind and one not in others]
         best = max(places, key=lambda one: _gain(beyond, one))
         is_sure = _p_value(beyond, best, possible) < level
         settled = [*others, best] if is_sure else others
@@ -296,7 +311,7 @@ def _gain(sources: Sequence[Evidence], change: Change) -> float:
 
 
 def _p_value(sources: Sequence[Evidence], change: Change, possible: Sequence[Change]) -> float:
-    """Return the p-value of a change, times the number of possible ones.
+    """Return the p-value of a change, times the number of possible ones of its family and that of families.
 
     Half of the probability of a false alarm is spent on the readings alone, which tell steps between the same two of
     them apart no more than once, half on readings and poses together.
@@ -310,14 +325,16 @@ def _p_value(sources: Sequence[Evidence], change: Change, possible: Sequence[Cha
         else:
             p.append(1.0)
     by_readings = p[0]
-    different = len(_tellable(sources[0], possible))
+    family = [one for one in possible if one.family == change.family]
+    families = len({one.family for one in possible})
+    different = families * len(_tellable(sources[0], family))
     if len(p) == 1:
         return min(by_readings * different, 1.0)
     together = 1.0
     if by_readings < _SHOWN and p[1] < 1.0:
         logs = np.log(np.maximum(p, np.finfo(float).tiny))
         together = float(chdtrc(4.0, -2.0 * np.sum(logs)))
-    return min(2.0 * by_readings * different, 2.0 * together * len(possible), 1.0)
+    return min(2.0 * by_readings * different, 2.0 * together * families * len(family), 1.0)
 
 
 def _tellable(readings: Evidence, possible: Sequence[Change]) -> set[tuple[object, ...]]:
@@ -379,7 +396,7 @@ def _probable_places(
     sources: Sequence[Evidence], step: Change, possible: Sequence[Change]
 ) -> Mapping[int, float]:
     """Return the probabilities of the places of a step, by place; each is as likely before any measurement."""
-    alike = [one for one in possible if _alike(one, step)]
+    alike = [one for one in possible if one.kind == step.kind]
     gains = np.array([_gain(sources, one) for one in alike])
     weights = np.exp(gains - gains.max())
     weights /= weights.sum()

@@ -426,6 +426,11 @@ def _origins_table(robot: Robot) -> list[dict[str, Any]]:
     return [{"joint": name, **pose_table(T)} for name, T in robot.origins().items()]
 
 
+def drift_table(drift: FrameDrift) -> dict[str, Any]:
+    """Return what references show as nested tables, in SI units, by the keys of a result file."""
+    return _LAYOUT.table(drift)
+
+
 def write_result(
     c: Calibration,
     path: str | Path,
