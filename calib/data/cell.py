@@ -504,6 +504,14 @@ class Cell(Value):
         default_factory=ReadOnlyMapping,
         each=ARE_FACTORS,
     )
+    #: What targets that stand still are mounted on, by their names: ``"world"`` or ``"base"``.
+    references: Mapping[str, str] = key(
+        "references",
+        named(one_of(("world", "base"))),
+        "What targets that stand still (rows of the set `reference`) are mounted on, see below.",
+        default_factory=ReadOnlyMapping,
+        absent="not known: what they show is a movement of the frame",
+    )
     #: Known distances between the fixed points of groups.
     distances: tuple[GroupDistance, ...] = key(
         "distances",

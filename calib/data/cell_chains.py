@@ -14,6 +14,7 @@ from calib.basics.tables import Table
 from calib.data.cell import Cell
 from calib.data.columns import WORD_COLUMNS, name_columns
 from calib.data.forms.column_options import ColumnsInput, column_options
+from calib.data.references import split_references
 from calib.data.stops import is_stop, stop_links
 from calib.errors import ModelError, UrdfError, choices, did_you_mean
 from calib.robot.default_tip import SeveralArmsError, farthest_link
@@ -41,6 +42,7 @@ def sights_of(
     Raises:
         MeasurementError: As of `name_columns`.
     """
+    table, _ = split_references(table, columns)
     named, group_columns = name_columns(table, (), column_options(columns))
     _, default_target = WORD_COLUMNS["targets"]
     targets = [default_target] * len(table.cells)

@@ -24,6 +24,7 @@ from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.tables import Table
 from calib.data.columns import SETS, WORD_COLUMNS, reserved
 from calib.data.forms.column_options import ColumnOptions
+from calib.data.references import References
 from calib.errors import MeasurementError, choices
 from calib.numerics.correlated_noise import POSE
 from calib.numerics.geometry import FARTHEST, not_rotations
@@ -439,6 +440,7 @@ def check_argument_types(given: object) -> None:
     for name in ("joints", "rotations", "distances", "torques", "covariances"):
         if value(name) is not None:
             numbers(name, value(name), "an array of numbers with an entry a row")
+    check_type("references", value("references"), (References, type(None)), "References, or None")
     numbers("points", value("points"), "positions of shape (N, 3), [m]")
     if not np.ndim(value("points")):
         raise wrong_type("points", value("points"), "positions of shape (N, 3), [m]")

@@ -48,6 +48,9 @@ SETS = ("estimate", "validate")
 #: Word of the column ``set`` for a pose that is only driven through, so that the next one is approached from there.
 VIA = "via"
 
+#: Word of the column ``set`` for a target that stands still, in the world or on the base, measured between the poses.
+REFERENCE = "reference"
+
 #: Name of the target of rows without a column ``target``.
 DEFAULT_TARGET = "target"
 

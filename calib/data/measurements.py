@@ -43,6 +43,7 @@ from calib.data.columns import (
     COVARIANCE,
     MOVE,
     POINT,
+    REFERENCE,
     TORQUE,
     WORD_COLUMNS,
     cells_of,
@@ -54,6 +55,12 @@ from calib.data.forms.servo_columns import with_servo_angles
 from calib.data.kinds import SIGMAS, Kind
 from calib.data.layout import Layout
 from calib.data.points_file import read_points
+from calib.data.references import (
+    References,
+    check_stations,
+    read_references,
+    split_references,
+)
 from calib.data.values import read_values, with_joints_missing
 from calib.errors import MeasurementError, choices, did_you_mean
 from calib.numerics.geometry import FARTHEST, to_quaternions
@@ -165,6 +172,8 @@ class Measurements(Value):
     #: True where a row has no value of a joint, and ``joints`` has the value of an earlier row, shape (N, n): the row's
     #: chain does not have it. None: every row has all.
     without_joint: Mask | None = None
+    #: Readings of targets that stand still, which are no rows of a fit; None: there are none.
+    references: References | None = None
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -200,6 +209,10 @@ class Measurements(Value):
         fill("distances", readings.pop("distance", None))
         fill("readings", ReadOnlyMapping(readings))
         fill("units", ReadOnlyMapping(self.units))
+        if self.references is not None and not {*self.rows} <= {*self.references.sequence}:
+            raise MeasurementError(
+                f"{labels.name}: the sequence of the references must have all row numbers of the poses."
+            )
 
         is_oriented = self.where(lambda kind: kind.orientation)
         for name, tail, rows in (
@@ -298,10 +311,16 @@ class Measurements(Value):
         check_reading(path, points, joint_names, joint_types, columns)
         elsewhere = None if points is None else read_points(points, points_unit)
         table = path if isinstance(path, Table) else Table.read(path)
+        table, of_references = split_references(table, columns, joint_names or ())
         if is_flange_robot(joint_names or ()):
             table, columns = with_flange_joints(table, columns)
         else:
             table, columns = with_servo_angles(table, columns)
+        references: References | None = None
+        if of_references is not None:
+            references, elsewhere = read_references(
+                table, of_references, columns, joint_names or (), elsewhere
+            )
         layout = Layout.find(
             table,
             joint_names,
@@ -316,7 +335,9 @@ class Measurements(Value):
         )
         if joint_names is not None and not needs_all_joints:
             values |= with_joints_missing(values, joint_names, joint_types or {})
-        measurements = cls(**values)
+        if references is not None:
+            references = references.among(values["rows"])
+        measurements = cls(**values, references=references)
         if not measurements.estimation.any():
             raise MeasurementError(
                 f"{measurements.source}, column 'set': no measured row is 'estimate', all "
@@ -327,6 +348,9 @@ class Measurements(Value):
         check_pairs(labels, pairs, measurements.sets)
         for name in set(measurements.kinds):
             check_groups(labels, name, by_word(measurements.groups, measurements.of_kind(name)))
+        if references is not None:
+            seen = by_word(measurements.groups, measurements.positions)
+            check_stations(references, tuple(seen), measurements.source)
         return measurements
 
     @classmethod
@@ -652,7 +676,34 @@ class Measurements(Value):
         return frame_of(columns, library)
 
     def _columns(self) -> dict[str, Sequence[object]]:
-        """Return the columns to write by their headers; a number that was not measured is an empty text."""
+        """Return the columns to write by their headers, of poses and references in the order of measurement."""
+        columns = self._columns_of_poses()
+        known = self.references
+        if known is None:
+            return columns
+        cells: dict[str, Sequence[object]] = {
+            "row": known.rows,
+            "set": (REFERENCE,) * len(known),
+            "target": known.targets,
+            "group": known.groups,
+        }
+        for i, name in enumerate(POINT):
+            cells[f"{name} [mm]"] = cells_of(known.points[:, i], COMMON["length"])
+        # Without a column for them all poses have the word that is filled in.
+        for name, words in (("target", self.targets), ("group", self.groups)):
+            if name not in columns and set(cells[name]) != set(words):
+                columns[name] = words
+        order = {number: k for k, number in enumerate(known.sequence)}
+        numbers = [*self.rows, *known.rows]
+        in_order = sorted(range(len(numbers)), key=lambda i: order[numbers[i]])
+        blank = ("",) * len(known)
+        for header, of_poses in columns.items():
+            both = [*of_poses, *cells.get(header, blank)]
+            columns[header] = [both[i] for i in in_order]
+        return columns
+
+    def _columns_of_poses(self) -> dict[str, Sequence[object]]:
+        """Return the columns of the poses by their headers; a number that was not measured is an empty text."""
         columns: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
         for attribute, (name, default) in WORD_COLUMNS.items():
             words = getattr(self, attribute)

@@ -14,7 +14,16 @@ import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.tables import Column, Table, is_blank
-from calib.data.columns import MOVE, POINT, SETS, STATUS, TORQUE, VIA, WORD_COLUMNS
+from calib.data.columns import (
+    MOVE,
+    POINT,
+    REFERENCE,
+    SETS,
+    STATUS,
+    TORQUE,
+    VIA,
+    WORD_COLUMNS,
+)
 from calib.data.forms.points import Points
 from calib.data.kinds import Kind
 from calib.data.layout import Layout, slides
@@ -418,7 +427,7 @@ def _check_sets(table: Table, layout: Layout, sets: Sequence[str], measured: Mas
     for word in set(sets) - set(SETS):
         column = layout.words["set"]
         what = (
-            f"'{word}' is not a set; allowed are {choices((*SETS, VIA))}. Correct it; if the column means "
+            f"'{word}' is not a set; allowed are {choices((*SETS, REFERENCE, VIA))}. Correct it; if the column means "
             f'something else, --columns "{column.label}=-" leaves it out.'
         )
         for i in np.flatnonzero(measured).tolist():

@@ -202,6 +202,12 @@ class Why(str, Enum):
     OTHER_END = "other_end", Role.INFORMATION
     CORNERS_THINNED = "corners_thinned", Role.INFORMATION
     DRIFT_REMOVED = "drift_removed", Role.INFORMATION
+    REFERENCES_DRIFT = "references_drift", Role.INFORMATION
+    REFERENCES_STEP = "references_step", Role.INFORMATION
+    REFERENCES_STILL = "references_still", Role.INFORMATION
+    REFERENCES_TOO_FEW = "references_too_few", Role.INFORMATION
+    REFERENCE_MOVED = "reference_moved", Role.INFORMATION
+    REFERENCE_MISREAD = "reference_misread", Role.INFORMATION
     SIGMA_UNLIKELY = "sigma_unlikely", Role.INFORMATION
     COVARIANCES_IDLE = "covariances_idle", Role.INFORMATION
 

@@ -24,6 +24,13 @@ from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.camera_changes import changes_between_pictures
 from calib.diagnosis.coverage import outside
+from calib.diagnosis.frame_drift import (
+    WORLD,
+    FrameDrift,
+    find_frame_drift,
+    shown_by_references,
+    without_frame_drift,
+)
 from calib.diagnosis.judge import absurd_noise
 from calib.diagnosis.picture_mistakes import mistakes_of_pictures
 from calib.diagnosis.reasons import NO, Reason, Verdict, Why
@@ -174,6 +181,10 @@ def _calibrated(
     measured, found, wrong = without_mistakes_of_pictures(arm, stated, measured)
     measured, thinned = with_fewer_corners(measured)
     found += thinned
+    as_measured = measured
+    shown = find_frame_drift(as_measured, stated.references)
+    if shown is not None:
+        measured = without_frame_drift(as_measured, shown[1])
     fits = fit_table(
         arm,
         measured,
@@ -184,10 +195,22 @@ def _calibrated(
         mistake=wrong,
         search=not np.all(measured.is_image),
     )
+    if shown is not None and not fits.mistake:
+        # The residuals tell more of what the references show: between which poses a step was.
+        taken_out = shown[1]
+        shown = find_frame_drift(as_measured, stated.references, fits.best, taken_out)
+        assert shown is not None
+        if not shown[1].same_as(taken_out):
+            begin(Stage.MISTAKES)
+            measured = without_frame_drift(as_measured, shown[1])
+            fits = fit_table(arm, measured, stated, model=model, solver=solver, robust=robust)
+    frame_drift = None if shown is None else shown[0]
     drift = patterns = None
     if validate and not fits.mistake:
         patterns = tuple(patterns_in_table(fits.best, measured))
-        drift = _found_drift(patterns, measured, fits)
+        # References that stand still with the frame say that a drift of the residuals is the robot's.
+        if frame_drift is None or all(one.link == WORLD for one in frame_drift.targets):
+            drift = _found_drift(patterns, measured, fits)
     if drift is not None:
         begin(Stage.MISTAKES)
         measured = _without_drift(measured, drift)
@@ -197,15 +220,15 @@ def _calibrated(
     if fits.mistake or not validate:
         begin(Stage.VERDICT)
     if fits.mistake:  # or a frame that was not found: errors of either robot mean nothing
-        return _with_verdict_against(_assemble(measured, fits), fits.mistake)
+        return _with_verdict_against(_assemble(measured, fits, drift=frame_drift), fits.mistake)
     if not validate:
-        result = _assemble(measured, fits)
+        result = _assemble(measured, fits, drift=frame_drift)
         absurd = absurd_noise(result.noise.sigma)
         return result if absurd is None else _with_verdict_against(result, absurd)
-    before = list(found)
+    before = [*found, *(() if frame_drift is None else shown_by_references(frame_drift))]
     if drift is not None:
         before.append(Reason.of(Why.DRIFT_REMOVED, drift_m=float(np.linalg.norm(drift))))
-    return _assemble_validated(measured, fits, progress, tuple(before), patterns)
+    return _assemble_validated(measured, fits, progress, tuple(before), patterns, frame_drift)
 
 
 def without_mistakes_of_pictures(
@@ -294,11 +317,13 @@ def _assemble_validated(
     progress: Progress | None,
     found: tuple[Reason, ...] = (),
     patterns: tuple[Reason, ...] | None = None,
+    drift: FrameDrift | None = None,
 ) -> Calibration:
     """Cross-validate the fits of a table, and assemble the result with its verdicts.
 
     ``found`` is what was found before the fit, such as a drift that was taken out of the measurements; ``patterns`` are
-    those in the residuals of the best fit, None if they were not looked for.
+    those in the residuals of the best fit, None if they were not looked for; ``drift`` is what references show, None
+    without any.
 
     A non-geometric model that the data chose stays only if it leaves smaller held-out squares than the geometry; else
     the next candidates are tried, and none stays if none does. One that the user named stays.
@@ -351,7 +376,7 @@ def _assemble_validated(
     begin(Stage.VERDICT)
     if patterns is None:
         patterns = tuple(patterns_in_table(fits.best, measurements))
-    result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal)
+    result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal, drift)
     return add_verdicts(result, fits.fitted_rows, patterns, found)
 
 
@@ -361,8 +386,12 @@ def _assemble(
     of_geometry: CrossValidation | None = None,
     of_non_geometric: CrossValidation | None = None,
     of_nominal: CrossValidation | None = None,
+    drift: FrameDrift | None = None,
 ) -> Calibration:
-    """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts."""
+    """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts.
+
+    ``drift`` is what the references show; None if there are none.
+    """
     m, fitted, all_rows = measurements, fits.geometry, fits.all_rows
     task, estimate = fitted.task, fitted.estimate
     robot, cell = task.robot, task.cell
@@ -441,6 +470,7 @@ def _assemble(
             time=date_text(now()),
         ),
         optics=result_optics(fitted, all_rows, geometry),
+        drift=drift,
         zeros=joint_zeros(fits, m.validation, cross_validated=of_geometry is not None),
         source=Source(m.source, m.sha256, m.orientation),
         record=cell.record,

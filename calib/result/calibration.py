@@ -23,6 +23,7 @@ from calib.data.cell import Cell
 from calib.data.record import BLANK, Record
 from calib.data.stated_uncertainty import NOT_STATED, StatedUncertainty
 from calib.diagnosis.coverage import OutsideRow, outside
+from calib.diagnosis.frame_drift import FrameDrift
 from calib.diagnosis.reasons import Verdict
 from calib.errors import ArgumentError, ModelError, choices, did_you_mean
 from calib.fit.registration.setup import Setup
@@ -73,6 +74,7 @@ class Calibration(Value):
         method           what the fit was told, candidates, solver
         optics           cameras and boards of images
         zeros            the best joint zeros alone, or None
+        drift            what targets that stand still show, or None
         source, record   the table, and who measured it for whom, where and with what
         fit              measurements and solved problem; fit_in_memory: the same, None if read from a file
 
@@ -103,6 +105,8 @@ class Calibration(Value):
     optics: ResultOptics
     #: The best joint zeros alone; None if they cannot be fitted, or if an earlier version wrote the file
     zeros: JointZeros | None = None
+    #: What targets that stand still show of the drift of the measurement frames; None without such targets
+    drift: FrameDrift | None = None
     #: The measurements' file
     source: Source
     #: Who measured what for whom, where, when and with what, as the cell says

@@ -43,6 +43,7 @@ from calib.camera.lenses import LENSES
 from calib.data.cell import Cell
 from calib.data.priors import Priors
 from calib.diagnosis.coverage import OutsideRow
+from calib.diagnosis.frame_drift import FrameDrift, Movement, StillTarget
 from calib.diagnosis.reasons import Reason
 from calib.errors import CalibError, FileError, PluginError, choices
 from calib.fit.registration.setup import Setup
@@ -344,6 +345,9 @@ _LAYOUT: JsonLayout = JsonLayout(
         },
         Repeats: {"within": "scatter", "freedoms": "freedom", "rho": "correlation"},
         Candidate: {"name": "set", "prior_std": _PRIOR_STD},
+        FrameDrift: {"scatter": "scatter_m", "left": "left_m"},
+        StillTarget: {"scatter": "scatter_m"},
+        Movement: {"by": "by_m", "std": "std_m", "rotation": "rotation_rad"},
         Robustness: {
             "lowered": "weights_lowered",
             "moved_rms": "moved_rms_m",
@@ -518,6 +522,11 @@ def _registered_names(table: Json) -> dict[str, set[str]]:
 def _origins_table(robot: Robot) -> list[dict[str, Any]]:
     """Return the pose of each joint in the link before it at joint value 0, as in the URDF's <origin>."""
     return [{"joint": name, **pose_table(T)} for name, T in robot.origins().items()]
+
+
+def drift_table(drift: FrameDrift) -> dict[str, Any]:
+    """Return what references show as nested tables, in SI units, by the keys of a result file."""
+    return _LAYOUT.table(drift)
 
 
 def write_result(

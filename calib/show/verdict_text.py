@@ -215,6 +215,19 @@ SENTENCES = {
     Why.NOISE_ABOVE_SIGMA: "Residual noise is {ratio:.0f} times the noise that the table or the "
     "cell states: {after} per coordinate instead of {before}. Is the stated noise right, and are "
     "the joint values exact?",
+    Why.REFERENCES_DRIFT: "By the references {of_mover} drifted by {moved_m:mm.3f} mm from the first row to the last "
+    "({chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per coordinate may be left.",
+    Why.REFERENCES_STEP: "By the references {of_mover} moved by {moved_m:mm.3f} mm at row {row} (between the rows "
+    "{after} and {before}; {chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per coordinate may "
+    "be left.",
+    Why.REFERENCES_STILL: "The references ({readings} readings) show no drift and no step; a drift of {left_m:mm.3f} mm "
+    "per coordinate may be left.",
+    Why.REFERENCES_TOO_FEW: "The references ({readings} readings) show nothing, because none was measured often enough: "
+    "measure each before, between and after the poses.",
+    Why.REFERENCE_MOVED: "The reference '{reference}' does not stand still: by itself it moved by {moved_m:mm.3f} mm"
+    "{from_row} ({chance_p}). The measured poses were left as they are. Is it loose?",
+    Why.REFERENCE_MISREAD: "The reading of the reference '{reference}' in row {row} is {moved_m:mm.3f} mm off the others "
+    "({chance_p}), and was not used.",
     Why.SIGMA_UNLIKELY: "The stated noise is {before} per coordinate, that of the residuals {after}. The "
     "latter is believed: are the unit and the value of the stated one right?",
     Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains "
@@ -331,6 +344,13 @@ _DH_DIGIT = 0.005
 #: Second sentence of a reason that much remains, if the non-geometric model leaves far less.
 _BETTER = " The non-geometric model '{model}' leaves {less}: " + _COMPENSATE
 
+
+#: What moves by the references.
+_MOVERS = {
+    "frame": "the measurement frame (instrument or base)",
+    "instrument": "the instrument",
+    "base": "the robot's base",
+}
 
 #: The most pictures that a sentence names.
 _PICTURES_NAMED = 4
@@ -491,7 +511,13 @@ def _words(values: Mapping[str, Any]) -> dict[str, str]:
         "error_off": listed(sizes_of(values, "error", ".2f")),
         **_pictures(values),
         "within": "".join(sizes_of(values, "within")[:1]),
+        "of_mover": _MOVERS.get(values.get("mover", ""), ""),
+        "from_row": f" from row {values['row']} on"
+        if values.get("row")
+        else ", evenly over the rows",
     }
+    if values.get("mover") and values["group"]:
+        words["of_mover"] += f" (station '{values['group']}')"
     free_before, free_after = (sizes_of(values, f"free_{side}") for side in ("before", "after"))
     if free_before and free_after:
         # The share is that of these figures; those with the noise may hardly differ.

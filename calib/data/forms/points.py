@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +97,16 @@ class Points:
                     '"point=-" does without names.'
                 )
         return [indices[0] if indices else -1 for indices in hits]
+
+    def without(self, taken: Sequence[int]) -> Points:
+        """Return the points without some of them, by their indices from 0."""
+        kept = [i for i in range(len(self.points)) if i not in {*taken}]
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in kept) if self.names else (),
+            points=self.points[kept],
+            lines=tuple(self.lines[i] for i in kept),
+        )
 
     def _indices_by_name(self) -> Mapping[str, list[int]]:
         """Return the indices of points, from 0, by whole and by last names; whole names win."""

@@ -24,6 +24,7 @@ from calib.data.columns import DEFAULT_TARGET
 from calib.data.inputs import CellInput, RobotInput, TableInput, cell_of, inputs_of
 from calib.data.measurements import Measurements
 from calib.data.record import BLANK, Record
+from calib.diagnosis.frame_drift import FrameDrift, find_frame_drift, without_frame_drift
 from calib.diagnosis.reasons import Reason, Why
 from calib.errors import ArgumentError, CalibError, ModelError, choices, did_you_mean
 from calib.fit.registration.board_ends import with_ends_of
@@ -158,6 +159,8 @@ class Evaluation(Value):
     images: ImageFigures | None = None
     #: Uncertainty of the rows' errors; None unless a calibration predicts them
     uncertainty: RowUncertainty | None = None
+    #: What targets that stand still show of the drift of the measurement frames; None without such targets
+    drift: FrameDrift | None = None
 
     def __repr__(self) -> str:
         """One line: the robot, rms errors, number of rows."""
@@ -355,6 +358,9 @@ def evaluate(
         payload = known_cell.payload or non_geometric.payload
         known_cell = replace(known_cell, payload=payload, gravity=non_geometric.gravity)
         known = non_geometric.setup
+    shown = find_frame_drift(table, known_cell.references)
+    if shown is not None:
+        table = without_frame_drift(table, shown[1])
     rows, setup = rows_and_setup(arm, table, known_cell)
     if known is not None:
         if "target" in which:
@@ -398,6 +404,7 @@ def evaluate(
         cameras=known_cell.cameras,
         boards=known_cell.boards,
         images=images,
+        drift=None if shown is None else shown[0],
     )
     if result is None:
         return evaluation

@@ -8,7 +8,7 @@ from typing import Any
 
 from calib.basics.dates import date_text, now
 from calib.result.board_errors import board_table
-from calib.result.calibration_file import error_table, pose_table, versions
+from calib.result.calibration_file import drift_table, error_table, pose_table, versions
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.accuracy import Accuracy
 from calib.verbs.evaluate.characteristics import Characteristic
@@ -63,6 +63,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
             who: accuracy_table(of_who, e.characteristics[who])
             for who, of_who in e.accuracies.items()
         },
+        "drift": None if urdf.drift is None else drift_table(urdf.drift),
         "acceptance": accepted,
         "record": asdict(urdf.record),
         "time": date_text(now()),

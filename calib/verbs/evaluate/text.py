@@ -11,6 +11,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import one_line
 from calib.errors import choices
 from calib.show.lines import listed, mm, plural, row_ranges, times
+from calib.show.reference_text import reference_lines
 from calib.show.verdict_text import reason_text
 from calib.show.words import chain_name, outside_text, rms_text, shown, with_unit
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment, Check
@@ -90,7 +91,7 @@ def rows_label(pose: PoseAccuracy) -> str:
 
 
 def place_sentences(e: Assessment, source: str) -> list[str]:
-    """Word the place of each target in the tip [mm], its source, and that frames were registered to the rows, if so.
+    """Word the place of each target in the tip [mm], its source, registered frames, and what references show.
 
     Args:
         e: The evaluation.
@@ -108,6 +109,12 @@ def place_sentences(e: Assessment, source: str) -> list[str]:
     if "frame" in evaluation.registered:
         label = "Measurement frames" if len(setup.groups) > 1 else "Measurement frame"
         sentences.append(f"{label}: registered to the rows.")
+    if evaluation.drift is not None:
+        sentences += reference_lines(evaluation.drift)
+        if evaluation.drift.corrected:
+            sentences.append(
+                "What the references show of the frame was taken out of the measured poses."
+            )
     return sentences
 
 

@@ -18,6 +18,7 @@ from calib.data.inputs import (
     robot_of,
     table_of_poses,
 )
+from calib.diagnosis.frame_drift import FrameDrift, find_frame_drift
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
 from calib.fit.registration.board_ends import numbered_from_one_end
@@ -56,6 +57,8 @@ class Inspection:
     assumed: tuple[str, ...] = ()
     #: Pictures whose corners were numbered from the other end, see `Measurements.other_end`
     other_end: tuple[str, ...] = ()
+    #: What targets that stand still show of the drift of the measurement frames; None without such targets
+    drift: FrameDrift | None = None
     #: What yourdfpy, another reader of the URDF, finds wrong with it; empty if it finds the same robot. None: it was
     #: not asked, because a table is inspected
     fault_by_yourdfpy: str | None = None
@@ -90,6 +93,7 @@ def inspect(
     source: str | None = None
     other_end: tuple[str, ...] = ()
     fault: str | None = None
+    drift: FrameDrift | None = None
     if measurements is None:
         known = cell_of(cell)
         arm = robot_of(robot, known)
@@ -107,6 +111,8 @@ def inspect(
         rows = rows.select(table.estimation)
         setup = register(arm.poses(rows.joints, rows.samples.chain), setup, rows)
         source = table.source
+        shown = find_frame_drift(table, known.references)
+        drift = None if shown is None else shown[0]
     name = known.model
     if name == AUTO:
         name = _MODEL_OF_CHAINS if arm.branches else _MODEL
@@ -120,6 +126,7 @@ def inspect(
         source=source,
         assumed=assumed,
         other_end=other_end,
+        drift=drift,
         fault_by_yourdfpy=fault,
     )
 

@@ -16,6 +16,7 @@ from calib.robot.robot import Robot
 from calib.show.as_text import blocks_text
 from calib.show.blocks import Block, Bullets, Paragraph
 from calib.show.lines import deg, listed, mm, plural
+from calib.show.reference_text import reference_lines
 from calib.show.robot_sentences import coupling_sentence, rows_sentence
 from calib.show.tables import Column, Table, name_column
 from calib.show.words import combination_text, joint_unit, with_unit
@@ -71,6 +72,11 @@ def inspection_text(robot: Robot, inspection: Inspection, forecast: Forecast | N
         Bullets([] if fault is None else [reader], indent="  ", tight=True),
         *dh,
         *_parameters(inspection),
+        Bullets(
+            [] if inspection.drift is None else list(reference_lines(inspection.drift)),
+            "Targets that stand still:" if inspection.drift else "",
+            "  ",
+        ),
         Paragraph(expected),
     )
     return blocks_text(blocks)

@@ -31,6 +31,7 @@ from calib.data.forms.column_options import ColumnsInput
 from calib.data.forms.orientations import QUATERNION
 from calib.data.layout import Layout
 from calib.data.measurements import Measurements
+from calib.data.references import split_references
 from calib.data.values import read_values
 from calib.errors import MeasurementError
 from calib.instruments.camera import CameraInstrument, board_tilts
@@ -328,7 +329,7 @@ def read_poses(
     Raises:
         MeasurementError: The table cannot be read as one of this robot, or no row is left.
     """
-    table = Table.read(path)
+    table, _ = split_references(Table.read(path), columns, robot.joint_names)
     # A row of the kind ``fixed`` has its joint values alone.
     layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
     values = read_values(table, layout, as_measured=True, needs_all_joints=not robot.branches)
