@@ -163,6 +163,11 @@ class CrossValidation:
     #: Of the rows that the fit to all rows did not flag as outliers
     errors_without_outliers: Errors
 
+    @property
+    def holds_out_stations(self) -> bool:
+        """Whether each fold is of whole stations, which are predicted but for their own frames."""
+        return "station" in self.method
+
     def without_rows(self) -> CrossValidation:
         """Return the same figures without what there is of each row: ``poses`` and ``residual`` are empty."""
         nothing = read_only(np.zeros(0))

@@ -331,6 +331,14 @@ def _assemble_validated(
     outliers = fits.geometry.estimate.outliers
     begin(Stage.FOLDS)
 
+    def validate_poses(
+        fitted: Fitted | None, of_fit: CrossValidation | None
+    ) -> CrossValidation | None:
+        """Hold out poses of a fit, where its cross-validation holds out whole stations; else None."""
+        if fitted is None or of_fit is None or not of_fit.holds_out_stations:
+            return None
+        return cross_validation(fitted, outliers | fitted.estimate.outliers, by_poses=True)
+
     def validate(fitted: Fitted, part: int, parts: int) -> CrossValidation:
         """Cross-validate a fit, reported as one of several parts that have as many folds each."""
 
@@ -372,11 +380,17 @@ def _assemble_validated(
             patterns = None
         fits = replace(fits, non_geometric=confirmed, candidates=candidates)
     of_nominal = nominal_cross_validation(fits.geometry.task, fits.fitted_rows, outliers)
+    of_poses = (
+        validate_poses(fits.geometry, of_geometry),
+        validate_poses(fits.non_geometric, of_non_geometric),
+    )
 
     begin(Stage.VERDICT)
     if patterns is None:
         patterns = tuple(patterns_in_table(fits.best, measurements))
-    result = _assemble(measurements, fits, of_geometry, of_non_geometric, of_nominal, drift)
+    result = _assemble(
+        measurements, fits, of_geometry, of_non_geometric, of_nominal, of_poses, drift
+    )
     return add_verdicts(result, fits.fitted_rows, patterns, found)
 
 
@@ -386,11 +400,13 @@ def _assemble(
     of_geometry: CrossValidation | None = None,
     of_non_geometric: CrossValidation | None = None,
     of_nominal: CrossValidation | None = None,
+    of_poses: tuple[CrossValidation | None, CrossValidation | None] = (None, None),
     drift: FrameDrift | None = None,
 ) -> Calibration:
     """Assemble the result of fits and of their cross-validations (None: there was none), without verdicts.
 
-    ``drift`` is what the references show; None if there are none.
+    ``of_poses`` are those of both fits by poses, where stations were held out; ``drift`` is what the references show,
+    None if there are none.
     """
     m, fitted, all_rows = measurements, fits.geometry, fits.all_rows
     task, estimate = fitted.task, fitted.estimate
@@ -422,6 +438,7 @@ def _assemble(
         of_geometry,
         noise,
         validation_board=_board_errors(fitted, all_rows.select(of_validation)),
+        pose_validation=of_poses[0],
     )
     non_geometric = None
     if fits.non_geometric is not None:
@@ -432,6 +449,7 @@ def _assemble(
             of_non_geometric,
             noise,
             validation_board=_board_errors(fits.non_geometric, all_rows.select(of_validation)),
+            pose_validation=of_poses[1],
             residual=read_only(fits.non_geometric.residual(all_rows)),
             payload=cell.payload,
             gravity=cell.gravity,

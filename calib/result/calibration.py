@@ -704,6 +704,38 @@ class Calibration(Value):
         )
         return budgets.Budget.of(uncertainty)
 
+    def forecast(
+        self,
+        rows: float | None = None,
+        joints: ArrayLike | None = None,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        non_geometric: bool = True,
+    ) -> Any:  # noqa: ANN401  made in a module above
+        """Forecast the rms error of fresh rows, which are not fitted, by the errors of held-out rows.
+
+        Args:
+            rows: Number of fresh rows, 1 or more; None: as many as were fitted, or as there are joint values.
+            joints: shape (k, m) or (m,), joint values at which they are measured, [rad] or [m]: the forecast is larger
+                where the uncertainty there is (`uncertainty`); None: at poses like those fitted.
+            target: Of ``joints``: the name of the target; None: the first.
+            group: Of ``joints``: the name of the station; None: the first.
+            non_geometric: Whether the non-geometric model predicts, if there is one; else the geometry.
+
+        Returns:
+            A `calib.uncertainty.forecast.FreshError`: ``rms``, the median, and ``low`` and ``high``, between which the
+            rms error without outliers is with 90 %, in its ``unit``; ``compared`` compares fresh rows with it. None
+            without cross-validation.
+
+        Raises:
+            ArgumentError: ``rows`` is below 1, or ``joints`` are not made of numbers.
+            ModelError: There is no such target or station, ``joints`` have another shape, or a value is not finite.
+        """
+        return shown_by("uncertainty.forecast").forecast(
+            self, rows, joints, target=target, group=group, non_geometric=non_geometric
+        )
+
     def tip_poses(
         self, q: ArrayLike, *, payload: Payload | None = None, moves: ArrayLike | None = None
     ) -> Array:

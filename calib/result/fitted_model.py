@@ -128,6 +128,9 @@ class FittedModel(Value):
     scatter: RowScatter | None = None
     #: Frames and targets that were stated, and are known as well as the cell says; empty if it does not
     stated_places: tuple[StatedPlace, ...] = ()
+    #: The same as ``cross_validation``, of folds of poses, where that holds out whole stations; else None. It has the
+    #: errors at new poses of known stations
+    pose_validation: CrossValidation | None = None
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None = None
 

@@ -65,7 +65,11 @@ _AT_A_TIME = 4096
 
 
 def cross_validation(
-    fitted: Fitted, outliers: Mask, progress: Progress | None = None
+    fitted: Fitted,
+    outliers: Mask,
+    progress: Progress | None = None,
+    *,
+    by_poses: bool = False,
 ) -> CrossValidation:
     """Cross-validate the calibrated robot: hold out each fold in turn and predict it by a fit to the other rows.
 
@@ -75,6 +79,7 @@ def cross_validation(
         fitted: Fit to all N rows.
         outliers: True for the rows to leave out of registrations and of the errors without outliers, shape (N,).
         progress: Called after each fold with the number of folds done and of all; None: nothing is called.
+        by_poses: Whether poses are held out, also where whole stations could be.
 
     Returns:
         Residuals of the N rows, measured minus predicted without their fold, shape (N, D), in the units of the rows'
@@ -85,7 +90,7 @@ def cross_validation(
         SolverError: The residual of a fit without a fold is not finite at its start.
     """
     rows = fitted.estimate.problem.rows
-    folds = Folds.of_task(fitted.task, rows)
+    folds = Folds.of_task(fitted.task, rows, by_poses=by_poses)
     by_linear_problem = held_out_residuals_linear(fitted, folds.masks, outliers)
     residuals = []
     refits = 0

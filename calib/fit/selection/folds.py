@@ -98,7 +98,7 @@ class Folds:
         return cls(method, tuple(block == k for k in range(count)))
 
     @classmethod
-    def of_task(cls, task: Task, rows: Rows) -> Folds:
+    def of_task(cls, task: Task, rows: Rows, *, by_poses: bool = False) -> Folds:
         """Divide the rows of a fit into folds.
 
         Stations are held out whole if there are three or more, each with poses of its own, and the others determine
@@ -107,6 +107,7 @@ class Folds:
         Args:
             task: The fit; what is estimated of frames, and the known distances between them, decide.
             rows: The N rows that are fitted.
+            by_poses: Whether poses are held out, also where stations could be.
 
         Returns:
             Two folds or more.
@@ -118,7 +119,8 @@ class Folds:
         # Joints at their stops are stations by name alone, which tell nothing of each other.
         of_joint = any(kind.of_joint for kind in rows.present)
         whole = (
-            not of_joint
+            not by_poses
+            and not of_joint
             and not _see_the_same_poses(rows.blocks, stations)
             and _stations_predict_each_other(task, rows, stations)
         )
