@@ -119,7 +119,15 @@ def assert_refitted(fitted: Fitted) -> None:
     assert np.sqrt(np.mean(apart[used] ** 2)) < 1e-2
 
 
-@pytest.mark.parametrize("name", ["points", "poses", "set-ups", "distances", "pairs", "targets"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "points",
+        "poses",
+        "distances",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("set-ups", "pairs", "targets")),
+    ],
+)
 def test_held_out_rows_are_predicted_as_by_refits(calibrated, name):
     _, c = calibrated(name)
     assert_refitted(c.fit.non_geometric or c.fit.geometry)
