@@ -28,10 +28,12 @@ demo: $(CALIB)
 
 test: $(TOOLS)
 	@# One thread a worker: the matrices are small, and workers that each start a thread a core stand in each other's way.
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	@# Each worker has tests that follow each other, which share what a module or the session makes for them. Compiled
+	@# tests are kept, whatever the shell says: that takes each worker a minute.
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 
 verify: $(TOOLS)
-	HYPOTHESIS_SEED=random OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or not slow"
+	HYPOTHESIS_SEED=random OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "slow or not slow"
 
 # Tests start programs in folders of their own, and COVERAGE_FILE says where all of them count.
 coverage: export COVERAGE_FILE := $(CURDIR)/.coverage

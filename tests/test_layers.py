@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -81,7 +82,10 @@ def verb(module: str) -> str:
     return parts[2] if parts[1] == "verbs" else ""
 
 
-TREES = {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
+@cache
+def trees() -> dict[str, ast.Module]:
+    """The syntax tree of each module by its dotted name; of two hundred modules it takes a while."""
+    return {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
 
 
 def imports(tree: ast.Module) -> Iterator[str]:
@@ -95,17 +99,20 @@ def imports(tree: ast.Module) -> Iterator[str]:
                 # from calib.verbs.view import scene imports a module, from calib.errors import X does not
                 for alias in node.names:
                     inner = f"{node.module}.{alias.name}"
-                    yield inner if inner in TREES else str(node.module)
+                    yield inner if inner in trees() else str(node.module)
                     if node.module == "calib":
                         yield "calib"  # and with it, by name, everything that it hands out
 
 
-GRAPH = {name: set(imports(tree)) for name, tree in TREES.items()}
+@cache
+def graph() -> dict[str, set[str]]:
+    """What each module imports of calib."""
+    return {name: set(imports(tree)) for name, tree in trees().items()}
 
 
 def test_every_room_has_its_place():
-    assert {room(name) for name in TREES} - {"", "verbs"} == {*CORE, *ABOVE}
-    assert {verb(name) for name in TREES} - {""} == set(VERBS)
+    assert {room(name) for name in trees()} - {"", "verbs"} == {*CORE, *ABOVE}
+    assert {verb(name) for name in trees()} - {""} == set(VERBS)
 
 
 def is_allowed(name: str, imported: str) -> bool:
@@ -123,7 +130,7 @@ def is_allowed(name: str, imported: str) -> bool:
 def test_the_core_knows_no_verb_and_a_verb_uses_the_core_and_the_verbs_listed_beside_it():
     wrong = {
         f"{name} imports {imported}"
-        for name, found in GRAPH.items()
+        for name, found in graph().items()
         for imported in found
         if not is_allowed(name, imported)
     }
@@ -132,7 +139,7 @@ def test_the_core_knows_no_verb_and_a_verb_uses_the_core_and_the_verbs_listed_be
 
 def test_every_listed_verb_is_used():
     used: dict[str, set[str]] = {name: set() for name in VERBS}
-    for name, found in GRAPH.items():
+    for name, found in graph().items():
         if verb(name):
             used[verb(name)] |= {verb(imported) for imported in found} - {"", verb(name)}
     assert used == VERBS
@@ -155,16 +162,16 @@ def shown_modules(tree: ast.Module) -> Iterator[tuple[bool, str]]:
 
 
 def test_only_methods_of_values_name_the_modules_that_show_them():
-    found = [pair for tree in TREES.values() for pair in shown_modules(tree)]
+    found = [pair for tree in trees().values() for pair in shown_modules(tree)]
     assert len(found) > 10
-    assert all(is_method and module in TREES for is_method, module in found)
+    assert all(is_method and module in trees() for is_method, module in found)
 
 
 def test_words_of_a_verb_are_its_own():
     """English stays above: other rooms do not import a verb's texts, but for the 3-D page, which all share."""
     outside = {
         f"{name} imports {imported}"
-        for name, found in GRAPH.items()
+        for name, found in graph().items()
         for imported in found
         if imported.split(".")[-1].endswith("text")
         and verb(imported)
@@ -176,7 +183,7 @@ def test_words_of_a_verb_are_its_own():
 def test_boards_could_be_a_package_of_their_own():
     wrong = {
         f"{name} imports {imported}"
-        for name, found in GRAPH.items()
+        for name, found in graph().items()
         if room(name) == "boards"
         for imported in found
         if room(imported) not in ("boards", "basics", "errors")
@@ -198,20 +205,20 @@ def uses_opencv(tree: ast.Module) -> bool:
 
 
 def test_opencv_is_used_inside_boards_alone():
-    using = {name for name, tree in TREES.items() if uses_opencv(tree)}
+    using = {name for name, tree in trees().items() if uses_opencv(tree)}
     assert using
     assert {room(name) for name in using} == {"boards"}
 
 
 def test_no_module_imports_itself_in_a_circle():
-    assert sum(len(found) for found in GRAPH.values()) > 50
-    TopologicalSorter(GRAPH).prepare()  # raises CycleError, which names the circle
+    assert sum(len(found) for found in graph().values()) > 50
+    TopologicalSorter(graph()).prepare()  # raises CycleError, which names the circle
 
 
 def test_only_the_command_line_prints():
     printing = {
         f"{name}, line {node.lineno}"
-        for name, tree in TREES.items()
+        for name, tree in trees().items()
         if room(name) != "cli" and not name.endswith("command") and name != "calib.__main__"
         for node in ast.walk(tree)
         if isinstance(node, ast.Call)

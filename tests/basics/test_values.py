@@ -85,7 +85,7 @@ def made(
     )
     arm = Cell(target=cell.target, model="dh")
     scenario = Scenario(ur3, arm, sizes={"length": 1e-3})
-    small = PlanRequest(count=20, validation=2, candidates=400)
+    small = PlanRequest(count=20, validation=2, candidates=100)
     program = Program.of_joints(table.joints[:3])
     _, bent = calibrated("compliance")
     points = np.random.default_rng(0).normal(size=(500, 3))

@@ -11,7 +11,13 @@ from scipy.spatial.transform import Rotation
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
-from calib.diagnosis.picture_mistakes import Finding, mistakes_of_pictures
+from calib.diagnosis.picture_mistakes import (
+    Finding,
+    _early_values,
+    _not_yet_arrived,
+    _old_values,
+    mistakes_of_pictures,
+)
 from calib.diagnosis.reasons import Why
 from calib.verbs.simulate.scenario import VirtualCell
 from tests.pictures import (
@@ -92,6 +98,16 @@ def test_all_pictures_shifted(seen: tuple[VirtualCell, Measurements]) -> None:
     order = np.minimum(np.arange(COUNT) + 1, COUNT - 1)
     (finding,) = found(cell, with_joints(table, joints_of(table)[order]))
     assert finding.reason.why in (Why.ROWS_SHIFTED, Why.ROWS_MOVED)
+
+
+def test_joint_values_of_another_time_are_led_back():
+    """Read on the way from the row before, on the way to the next one, or commanded where the joints fell short."""
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (6, 2))
+    move = np.diff(q, axis=0, prepend=q[:1])
+    next_move = np.diff(q, axis=0, append=q[-1:])
+    np.testing.assert_allclose(_old_values(q - 0.2 * move, 0.2), q, atol=1e-14)
+    np.testing.assert_allclose(_early_values(q + 0.2 * next_move, 0.2), q, atol=1e-14)
+    np.testing.assert_allclose(_not_yet_arrived(q, 0.2), q - 0.2 * move, atol=1e-14)
 
 
 @pytest.mark.slow

@@ -89,6 +89,20 @@ def test_stages_follow_one_another_and_name_what_they_try(ur3, table, paper_cell
     assert {candidate.name for candidate in result.method.candidates} <= set(tried[Stage.MODELS])
 
 
+def test_ranges_are_those_of_the_rows_with_weight(ur3, table, paper_cell):
+    """A row that is thrown out says nothing of where the arm was measured."""
+    estimated = np.flatnonzero(table.estimation)
+    farthest = estimated[np.argmax(table.joints[estimated, 0])]
+    points = table.points.copy()
+    points[farthest] += 0.1
+    cell = replace(paper_cell, model="zeros")
+    c = calibrate(ur3, replace(table, points=points), cell=cell, validate=False)
+    assert c.rows.weights[farthest] == 0.0
+    q = table.joints[estimated[estimated != farthest]]
+    np.testing.assert_allclose(c.rows.ranges, np.stack([q.min(axis=0), q.max(axis=0)], axis=1))
+    assert c.rows.ranges[0, 1] < table.joints[farthest, 0]
+
+
 def test_nominal_positions_agree_with_the_papers_table_3(default_result, table):
     nominal = 1e3 * (table.points - default_result.rows.residual_nominal)[table.validation]
     assert np.abs(nominal - TABLE_3).max() < 0.19

@@ -41,6 +41,26 @@ def test_a_target_and_a_translation_are_the_least_squares_solution(make_scene):
     np.testing.assert_allclose(found.T_tip_target[0, :3, 3], target, atol=1e-10)
 
 
+def test_a_known_target_stays_and_so_does_one_that_no_row_sees(make_scene, join):
+    scene = make_scene(4, targets=2)
+    cell = Cell(estimate_frame=True, frame_directions=("x", "y", "z"))
+    table = join(scene.points(12), scene.points(12, target=1))
+    T_base_tip, setup, rows = measured(scene, table, cell)
+    T_tip_target = scene.kinematics.T_tip_target.copy()
+    T_tip_target[0, :3, 3] += 0.01
+    start = setup.with_poses(scene.kinematics.T_frame_base, T_tip_target)
+    start = start.with_fixed(np.array([False]), np.array([False, True]))
+    found = linear_setup(start, T_base_tip, rows)
+    assert found is not None
+    place = scene.kinematics.T_tip_target[0, :3, 3]
+    np.testing.assert_allclose(found.T_tip_target[0, :3, 3], place, atol=1e-10)
+    np.testing.assert_array_equal(found.T_tip_target[1], T_tip_target[1])
+    of_known = rows.samples.target == 1
+    found = linear_setup(start, T_base_tip[of_known], rows.select(of_known))
+    assert found is not None
+    np.testing.assert_array_equal(found.T_tip_target, T_tip_target)
+
+
 @pytest.mark.parametrize("kind", ["rotation", "distance"])
 def test_rotations_and_other_kinds_are_not_linear(make_scene, kind):
     scene = make_scene(1)

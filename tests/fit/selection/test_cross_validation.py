@@ -119,7 +119,15 @@ def assert_refitted(fitted: Fitted) -> None:
     assert np.sqrt(np.mean(apart[used] ** 2)) < 1e-2
 
 
-@pytest.mark.parametrize("name", ["points", "poses", "set-ups", "distances", "pairs", "targets"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "points",
+        "poses",
+        "distances",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("set-ups", "pairs", "targets")),
+    ],
+)
 def test_held_out_rows_are_predicted_as_by_refits(calibrated, name):
     _, c = calibrated(name)
     assert_refitted(c.fit.non_geometric or c.fit.geometry)
@@ -134,8 +142,11 @@ def test_outliers_are_found_in_each_fold_as_by_refits(make_scene):
 
 @pytest.mark.parametrize(
     ("cell", "count", "solver"),
-    [(Cell(bounds={"a2": (-1e-5, 1e-5)}), 12, "lm"), (Cell(), 9, "lm"), (Cell(), 14, "paper")],
-    ids=["at a bound", "few rows", "the paper's solver"],
+    [
+        pytest.param(Cell(bounds={"a2": (-1e-5, 1e-5)}), 12, "lm", id="at a bound"),
+        pytest.param(Cell(), 9, "lm", id="few rows"),
+        pytest.param(Cell(), 14, "paper", id="the paper's solver", marks=pytest.mark.slow),
+    ],
 )
 def test_folds_are_fitted_from_the_beginning_where_the_linear_problem_is_not_accurate(
     make_scene, cell, count, solver

@@ -326,6 +326,8 @@ def test_an_unused_column_that_is_a_joint_hints_at_base_and_tip(call, shop):
         "base",
         "--tip",
         "wrist_2_link",
+        "--model",
+        "zeros",
         "--no-validate",
     )
     assert done.code == 0

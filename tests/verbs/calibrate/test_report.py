@@ -195,6 +195,7 @@ def test_the_rows_say_in_which_convention_orientations_were_given(page, paper_ca
     assert page(kuka).text.count("orientations as KUKA's A, B, C") == 2
 
 
+@pytest.mark.usefixtures("page")  # without figures
 def test_a_column_more_in_the_tables_of_errors_is_in_every_drawing(paper_calibration):
     """One typed column, given as a parameter: summary, report and notebook have it."""
     c = paper_calibration

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.basics.arrays import rigid_inverse
 from calib.errors import CalibError, UrdfError
 from calib.robot import readback
 from calib.robot.robot import Robot
@@ -27,11 +27,14 @@ from tests.verbs.convert.camera_arms import (
     words,
 )
 
-SOURCE = result_source(calibration(), Options(), "result")
+
+@cache
+def source():
+    return result_source(calibration(), Options(), "result")
 
 
 def handover(**names: str) -> Handover:
-    return Handover.of(SOURCE, CameraOptions(**names))
+    return Handover.of(source(), CameraOptions(**names))
 
 
 def test_a_camera_that_the_urdf_has():
@@ -47,7 +50,7 @@ def test_a_camera_that_the_urdf_has():
     np.testing.assert_allclose(
         result.camera.T_link_before[:3, 3], [0.062, 0.001, 0.064], rtol=0, atol=1e-6
     )
-    assert result.urdf.links == SOURCE.robot.urdf.links
+    assert result.urdf.links == source().robot.urdf.links
     assert result.frames == (result.camera,)
 
 
@@ -64,10 +67,10 @@ def test_a_camera_and_a_board_that_it_lacks():
 
 def test_the_urdf_is_the_corrected_one():
     result = handover(new_camera_frame="cam")
-    for joint in SOURCE.robot.joints:
+    for joint in source().robot.joints:
         origin = result.urdf.joint(joint.name).T_parent_joint
-        np.testing.assert_array_equal(origin, SOURCE.robot.urdf.joint(joint.name).T_parent_joint)
-    assert SOURCE.require_calibration() is SOURCE.calibration
+        np.testing.assert_array_equal(origin, source().robot.urdf.joint(joint.name).T_parent_joint)
+    assert source().require_calibration() is source().calibration
 
 
 @pytest.mark.parametrize(
@@ -110,7 +113,6 @@ def test_a_robot_has_no_camera():
 # Written
 
 MOVED = CameraOptions(camera_frame="color_optical", move="camera_mount_joint")
-T_OPTICAL = rigid_inverse(calibration().T_frame_base)
 
 
 def test_the_urdf_predicts_what_the_calibration_predicts(tmp_path):
@@ -162,7 +164,7 @@ def test_a_hand_over_on_the_urdf_of_an_earlier_one(tmp_path):
 def test_a_frame_that_is_read_elsewhere_is_refused(monkeypatch):
     monkeypatch.setattr(readback, "TOLERANCE", -1.0)
     with pytest.raises(UrdfError, match="read back by Pinocchio"):
-        mounted(SOURCE, Options(camera=MOVED))
+        mounted(source(), Options(camera=MOVED))
 
 
 def test_names_of_a_camera_belong_to_its_formats(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import ast
 import shlex
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -82,35 +83,41 @@ def test_a_pose_that_does_not_read_back_is_refused():
 
 # Of a calibration
 
-SOURCE = result_source(calibration(), Options(), "result")
+
+@cache
+def source():
+    return result_source(calibration(), Options(), "result")
+
+
 MOVED = CameraOptions(camera_frame="color_optical", move="camera_mount_joint")
-T_OPTICAL = rigid_inverse(calibration().T_frame_base)
 
 
 def test_the_pose_that_is_published():
-    transform = transform_of(SOURCE, CameraOptions(camera_frame="color_optical"))
+    transform = transform_of(source(), CameraOptions(camera_frame="color_optical"))
     assert (transform.parent, transform.child) == ("tool0", "color_optical")
-    np.testing.assert_array_equal(transform.T_parent_child, T_OPTICAL)
-    new = transform_of(SOURCE, CameraOptions(new_camera_frame="cam"))
+    np.testing.assert_array_equal(
+        transform.T_parent_child, rigid_inverse(calibration().T_frame_base)
+    )
+    new = transform_of(source(), CameraOptions(new_camera_frame="cam"))
     assert (new.parent, new.child) == ("tool0", "cam")
-    board = transform_of(SOURCE, CameraOptions(new_board_frame="plate"))
+    board = transform_of(source(), CameraOptions(new_board_frame="plate"))
     assert (board.parent, board.child) == ("base", "plate")
     np.testing.assert_array_equal(board.T_parent_child, calibration().setup.T_tip_target[0])
 
 
 def test_of_a_moved_mount_its_child_is_published():
-    transform = transform_of(SOURCE, MOVED)
+    transform = transform_of(source(), MOVED)
     assert (transform.parent, transform.child) == ("tool0", "camera_mount")
-    urdf = SOURCE.robot.urdf
+    urdf = source().robot.urdf
     below = [urdf.joint(name) for name in ("camera_body_joint", "color_optical_joint")]
     T = transform.T_parent_child @ below[0].T_parent_joint @ below[1].T_parent_joint
-    np.testing.assert_allclose(T, T_OPTICAL, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(T, rigid_inverse(calibration().T_frame_base), rtol=0, atol=1e-14)
 
 
 def test_one_file_publishes_one_frame(tmp_path):
     both = CameraOptions(camera_frame="cam", new_board_frame="plate")
     with pytest.raises(CalibError, match="One file publishes one frame"):
-        transform_of(SOURCE, both)
+        transform_of(source(), both)
     path = tmp_path / "camera.sh"
     options = Options(camera=CameraOptions(camera_frame="cam"))
     conversion = convert(calibration(), path, options=options)

@@ -296,11 +296,11 @@ def displaced(scene, q, rng, own, shift, turn, play=0.0):
 @pytest.mark.parametrize(
     ("own", "shift", "turn", "play"),
     [
-        (1e-4, 0.0, 0.0, 0.0),
-        (1e-4, 2e-4, 0.0, 0.0),
+        pytest.param(1e-4, 0.0, 0.0, 0.0, marks=pytest.mark.slow),
+        pytest.param(1e-4, 2e-4, 0.0, 0.0, marks=pytest.mark.slow),
         (5e-5, 1e-4, 2e-3, 0.0),
-        (1e-5, 2e-4, 2e-4, 0.0),
-        (5e-5, 0.0, 0.0, 2e-4),
+        pytest.param(1e-5, 2e-4, 2e-4, 0.0, marks=pytest.mark.slow),
+        pytest.param(5e-5, 0.0, 0.0, 2e-4, marks=pytest.mark.slow),
         (5e-5, 1e-4, 1e-3, 2e-4),
     ],
 )
