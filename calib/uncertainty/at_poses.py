@@ -77,6 +77,10 @@ class Source(Enum):
     TEMPERATURE = "temperature"
 
 
+#: Sources that more rows of the same kind reduce, in proportion to their number: the noise of the rows is their cause.
+BY_ROWS = (Source.INSTRUMENT, Source.TARGET, Source.FRAME)
+
+
 class Distribution(Enum):
     """The distribution of a part of the error."""
 
@@ -160,13 +164,21 @@ class PoseUncertainty(Value):
         return replace(self, contributions=tuple(parts))
 
     def _freedom(self, part: slice) -> Array:
-        """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite."""
+        """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite.
+
+        The parts that the noise of the rows makes through the fit are of one estimate of this noise: they err alike.
+        """
         total = np.zeros(len(self.poses))
         shares = np.zeros(len(self.poses))
+        alike = np.zeros(len(self.poses))
         for one in self.contributions:
             variance = _std(one.covariance, part) ** 2
             total = total + variance
-            shares = shares + variance**2 / one.freedom
+            if one.source in BY_ROWS:
+                alike = alike + variance / np.sqrt(one.freedom)
+            else:
+                shares = shares + variance**2 / one.freedom
+        shares = shares + alike**2
         with np.errstate(divide="ignore", invalid="ignore"):
             return read_only(np.where(shares > 0.0, total**2 / shares, np.inf))
 
