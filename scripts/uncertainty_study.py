@@ -184,8 +184,8 @@ KINDS: dict[str, Setting | None] = {
     "pictures": None,
     "payload": Setting(loaded=True, sigma=True),
     "lost motion": Setting(lost=1e-4, visits=2, sigma=True),
-    "scale": Setting(instrument="stereo", free=True, outliers=0.04),
-    "few or many": Setting(rows=(12, 200)),
+    "scale": Setting(instrument="stereo", free=True, outliers=0.04, sigma=True),
+    "few or many": Setting(rows=(12, 200), sigma=True),
 }
 
 
@@ -335,7 +335,7 @@ def run_sockets(seed: int) -> Calibrated:
         groups=tuple(groups),
         kinds=("fixed",) * len(q),
     )
-    result = calibrate(robot, table, cell=Cell(distances=tuple(bars)))
+    result = calibrate(robot, table, cell=Cell(distances=tuple(bars), sigma={"m": sigma}))
     fresh = points_of(q, robot, rng)
     found = judged(result, fresh, arm.arrive(fresh, rng), in_base=True)
     # No row determines where the base stands: the best rigid motion at the measured poses does not count.

@@ -50,7 +50,7 @@ from calib.numerics.errors import rms
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel
 from calib.result.row_scatter import joint_twists
-from calib.result.stated_places import displaced
+from calib.result.stated_places import StatedPlace, displaced
 from calib.uncertainty.beyond import variance_beyond
 from calib.uncertainty.coverage import covered_length
 
@@ -75,6 +75,10 @@ class Source(Enum):
     UNDETERMINED = "undetermined"
     RESOLUTION = "resolution"
     TEMPERATURE = "temperature"
+
+
+#: Sources that more rows of the same kind reduce, in proportion to their number: the noise of the rows is their cause.
+BY_ROWS = (Source.INSTRUMENT, Source.TARGET, Source.FRAME)
 
 
 class Distribution(Enum):
@@ -160,13 +164,21 @@ class PoseUncertainty(Value):
         return replace(self, contributions=tuple(parts))
 
     def _freedom(self, part: slice) -> Array:
-        """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite."""
+        """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite.
+
+        The parts that the noise of the rows makes through the fit are of one estimate of this noise: they err alike.
+        """
         total = np.zeros(len(self.poses))
         shares = np.zeros(len(self.poses))
+        alike = np.zeros(len(self.poses))
         for one in self.contributions:
             variance = _std(one.covariance, part) ** 2
             total = total + variance
-            shares = shares + variance**2 / one.freedom
+            if one.source in BY_ROWS:
+                alike = alike + variance / np.sqrt(one.freedom)
+            else:
+                shares = shares + variance**2 / one.freedom
+        shares = shares + alike**2
         with np.errstate(divide="ignore", invalid="ignore"):
             return read_only(np.where(shares > 0.0, total**2 / shares, np.inf))
 
@@ -284,8 +296,8 @@ def beyond_measured(
 
     Returns:
         The share of the covariance that is to be added, (N,), 0 where the other is larger; and the derivatives of the
-        poses by normal numbers of variance 1, (N, 6, r), by families of errors whose sizes the rows do not tell. Both
-        are sizes that the errors of a few joints tell, and enlarged for that.
+        poses by normal numbers of variance 1, (N, 6, r), by families of errors whose sizes the rows do not tell. The
+        share is told by rows at the ends of the ranges of a few joints, and enlarged for that.
     """
     enlarged = _by_few(float(len(result.nominal.inputs)))
     variance = _std(total, _POSITION) ** 2
@@ -298,7 +310,7 @@ def beyond_measured(
     by_families = np.sum(factor[:, :3] ** 2, axis=(1, 2))
     of_model = by_model > by_families
     share = enlarged * np.where(of_model, by_model, 0.0) / np.where(of_model, variance, 1.0)
-    return share, np.sqrt(enlarged) * np.where(of_model[:, None, None], 0.0, factor)
+    return share, np.where(of_model[:, None, None], 0.0, factor)
 
 
 def scale_std(model: FittedModel) -> float:
@@ -342,7 +354,6 @@ def by_stated_places(
     Yields:
         Frame or target, and the derivatives of the poses by normal numbers of variance 1, shape (N, 6, 6).
     """
-    stated = result.stated_uncertainty
     origins = np.zeros((len(poses), 3))
     if not in_base:
         origins = model.setup.T_frame_base[samples.frame][:, :3, 3]
@@ -351,9 +362,15 @@ def by_stated_places(
         by_place = displaced(poses, origins, is_frame=place.is_frame)
         # In the base a frame is nowhere; other frames and targets see the fit's error alone.
         by_place[(numbers != place.index) | (place.is_frame and in_base)] = 0.0
-        sizes = (stated.frame, stated.frame_angle) if place.is_frame else (stated.target, 0.0)
-        left = (by_place - twists @ place.absorbed) * np.repeat(sizes, 3)
+        left = (by_place - twists @ place.absorbed) * _place_std(result, place)
         yield (Source.FRAME if place.is_frame else Source.TARGET), left
+
+
+def _place_std(result: Calibration, place: StatedPlace) -> Array:
+    """Return the standard deviations of a frame's or target's displacement, along and about its axes, (6,)."""
+    stated = result.stated_uncertainty
+    sizes = (stated.frame, stated.frame_angle) if place.is_frame else (stated.target, 0.0)
+    return np.repeat(sizes, 3)
 
 
 # What each arrival adds
@@ -386,7 +403,10 @@ def arrivals_of(result: Calibration, model: FittedModel) -> Arrivals:
     lacking, of_lacking = [0.0, 0.0], [np.inf, np.inf]
     if rows is None:
         return Arrivals((0.0, 0.0), (np.inf, np.inf), (0.0, 0.0), (np.inf, np.inf), 0.0, True)
-    by_joints = rows.by_joints @ _joint_variances(result)
+    # What is stated, and acted on the rows too.
+    on_rows = rows.by_joints @ _joint_variances(result)
+    for place in model.stated_places:
+        on_rows = on_rows + place.on_rows @ _place_std(result, place) ** 2
     separated = True
     for k in range(2):
         is_known = np.isfinite(rows.instrument[k])
@@ -398,7 +418,7 @@ def arrivals_of(result: Calibration, model: FittedModel) -> Arrivals:
                 float(rows.within[k]), float(rows.within_freedom[k]), instrument
             )
         if np.isfinite(rows.total[k]):
-            other = instrument + repeatability[k] + float(by_joints[k])
+            other = instrument + repeatability[k] + float(on_rows[k])
             lacking[k], of_lacking[k] = variance_beyond(
                 float(rows.total[k]), float(rows.freedom[k]), other
             )
