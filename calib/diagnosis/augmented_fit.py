@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import fdtrc
 
 from calib.basics.arrays import Array, Mask
@@ -23,10 +24,13 @@ from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.stages import Stage
 from calib.fit.registration.registration import ENOUGH
+from calib.fit.registration.setup import Setup
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics
 from calib.model.parameter_sets import error_model
 from calib.numerics.likelihood import GaussianPriors
+from calib.robot.gravity import GRAVITY
+from calib.robot.robot import Robot
 
 #: Degrees of freedom of a fit below which its residuals and its noise say little.
 FEWEST_FREEDOM = 10.0
@@ -194,14 +198,26 @@ def nominal_under(name: str, fitted: Fitted) -> Kinematics:
         fitted: The fit.
     """
     setup = fitted.estimated_setup()
+    return robot_under(name, fitted.task.robot, setup, fitted.task.cell.gravity)
+
+
+def robot_under(name: str, robot: Robot, setup: Setup, gravity: ArrayLike = GRAVITY) -> Kinematics:
+    """Return a robot under the error model of a name, in which all targets are parameters and no frame is.
+
+    Args:
+        name: Name of a parameter set, with families after it.
+        robot: The nominal robot.
+        setup: Frames and targets.
+        gravity: Shape (3,), acceleration in the URDF's root [m/s^2].
+    """
     model = error_model(
-        fitted.task.robot,
+        robot,
         name,
         frame=dict.fromkeys(setup.frame_unknowns, ()),
         targets=setup.target_names,
-        gravity=fitted.task.cell.gravity,
+        gravity=gravity,
     )
-    return Kinematics(fitted.task.robot, model, setup.T_frame_base, setup.T_tip_target)
+    return Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
 
 
 def thin(fitted: Fitted) -> tuple[Fitted, Mask]:

@@ -10,21 +10,33 @@ w_k by likelihood, the expected square of a predicted position is
 
 What this adds to the square that the fit itself expects, over the joint limits and beyond what it adds at the measured
 poses, is summed over the families. Bayesian model averaging: J. Hoeting et al., Statistical Science 14 (1999).
+
+At any one pose the same is the square J M J^T of the positive part of
+
+    M = sum over families of sum_k w_k [C_k + (x_k - x) (x_k - x)^T] - C
+
+over the parameters of the fit and those of the further families (`Undetermined`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import compress
+
 import numpy as np
 
-from calib.basics.arrays import Array
-from calib.diagnosis.augmented_fit import augment, nominal_under, thin
+from calib.basics.arrays import Array, read_only, rigid_inverse
+from calib.basics.values import Value
+from calib.diagnosis.augmented_fit import augment, nominal_under, robot_under, thin
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.prior_terms import PriorTerms
 from calib.fit.estimate.special_cases.hands_alone import hands_alone
+from calib.fit.registration.setup import Setup
 from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.numerics.likelihood import GaussianPriors
-from calib.numerics.rigid_motion import without_rigid_motion
+from calib.numerics.rigid_motion import best_motion, displacements_by, without_rigid_motion
+from calib.robot.robot import Robot
 
 #: Sizes that a family may have, over the typical one, each as likely before the rows are seen as that of the fit, where
 #: it may be absent: of the sizes that were estimated for real arms, nearly all are from a quarter to twice the typical.
@@ -33,25 +45,76 @@ _SIZES = np.array([0.25, 0.5, 1.0, 2.0])
 #: A family outside of the model is as good as absent with this share of the smallest of these sizes.
 _ABSENT = 1e-3
 
+#: Share of the square over the joint limits that directions may have which are left out of the covariance.
+_LEFT_OUT = 1e-3
+
+#: Effect of a parameter on positions, squared, over the largest one, below which it counts as this.
+_LEAST_EFFECT = 1e-12
+
 #: The most measured poses at which errors are averaged; more do not change them.
 _MOST_MEASURED = 200
 
 
-def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Undetermined(Value):
+    """Covariance that families add whose sizes the rows do not determine, of the fit's and of further parameters."""
+
+    #: Name of the model with the further families
+    model: str
+    #: Names of its e parameters that count
+    names: tuple[str, ...]
+    #: Shape (p + e, r), whose product with its transpose is the covariance, the fit's own parameters first
+    factor: Array
+    #: Shape (6, e), motion of the base that compensates a unit of each further parameter best over the measured poses
+    #: [m] and [rad]; None if the rows determine where the base stands
+    base_motion: Array | None = None
+
+    def twists(self, robot: Robot, setup: Setup, samples: Samples, *, in_base: bool) -> Array:
+        """Return the derivatives of predicted poses by the further parameters.
+
+        Args:
+            robot: The nominal robot.
+            setup: Frames and targets of the fit.
+            samples: N samples.
+            in_base: Whether poses are those in the base, less ``base_motion``; else in the measurement frame.
+
+        Returns:
+            Shape (N, 6, e), the linear part first [m, rad].
+        """
+        kinematics = robot_under(self.model, robot, setup)
+        kept = [kinematics.model.index(name) for name in self.names]
+        poses, J = kinematics.twists(np.zeros(len(kinematics.model)), samples)
+        J = J[:, :, kept]
+        if not in_base:
+            return J
+        T = rigid_inverse(setup.T_frame_base[samples.frame])
+        R = T[:, :3, :3]
+        J = np.concatenate([R @ J[:, :3], R @ J[:, 3:]], axis=1)
+        if self.base_motion is not None:
+            J[:, :3] -= displacements_by(self.base_motion, (T @ poses)[:, :3, 3])
+            J[:, 3:] -= self.base_motion[3:]
+        return J
+
+
+def undetermined_error(
+    fitted: Fitted, everywhere: Samples, *, base_moves: bool = False
+) -> tuple[float, Undetermined | None]:
     """Expect the error over the joint limits that families add whose sizes the rows do not determine.
 
     Args:
-        fitted: A fit with priors. Of families outside of its model those that depend on loads, and rare ones, are left
-            out: the joint values alone say how much a measured region shows of the others. With given priors the sizes
-            of the model's own families are known.
+        fitted: A fit with priors. Of families outside of its model those that depend on loads or moves are left out:
+            the joint values alone say how much a measured region shows of the others. With given priors the sizes of
+            the model's own families are known.
         everywhere: Joint values over the joint limits, with loads if the model needs them.
+        base_moves: Whether no row determines where the base stands.
 
     Returns:
-        The root of the square that is added to that by the covariance, rms [m]; 0 without priors.
+        The root of the square that is added to that by the covariance, rms [m], 0 without priors and without rare
+        families; and the covariance that is added by all, None without priors.
     """
     estimate, task, kinematics = fitted.estimate, fitted.task, fitted.kinematics
     if not estimate.prior_std or task.cell.priors.source == "off":
-        return 0.0
+        return 0.0, None
     # More rows of the same poses do not show other families: they only count for more.
     few, _ = thin(fitted)
     rows = few.estimate.problem.rows
@@ -59,10 +122,11 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
     prior = prior.at_bounds({k: float(estimate.x[k]) for k in estimate.at_bound})
 
     # The nominal robot with the usual families that the model does not have, and that depend on joint values alone.
+    # Rare ones of this kind count in the covariance alone: an unknown error of the joints, smooth over their values.
     further_names = [
         name
         for name, family in FAMILIES.items()
-        if not (family.loaded or family.rarity or name in kinematics.model.families)
+        if not (family.loaded or family.moved or name in kinematics.model.families)
     ]
     of_joints = [name for name in further_names if not FAMILIES[name].geometric]
     geometry = "placement" if len(of_joints) < len(further_names) else "frames"
@@ -90,6 +154,7 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
     fit_sizes[: len(prior.names)] = [estimate.prior_std[name] for name in prior.names]
     first_varied = 0 if task.cell.priors.source == "data" else len(prior.names)
     sizes = _grid_of_sizes(fit_sizes, typical, first_varied)
+    varied = (*prior.names, *further_names)[first_varied:]
     precision_by_family = (1.0 / sizes**2) @ families
     priors = GaussianPriors(precision_by_family + own, mean)
 
@@ -106,8 +171,8 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
     counted_precision = np.where(is_flat, 0.0, priors.precision)
     likelihood = equations.log_likelihood(noise, priors, counted_precision)
 
-    def squares(samples: Samples) -> Array:
-        """Return the expected squares of predicted positions at each of the sizes, mean over samples [m^2]."""
+    def products(samples: Samples) -> Array:
+        """Return J^T J of predicted positions by all parameters, mean over samples, (p + e, p + e)."""
         points, J = kinematics.twists(estimate.x, samples, rotation=False)
         _, J_further = further.twists(zero, samples, rotation=False)
         J = np.concatenate([J, J_further[:, :, kept]], axis=2)
@@ -116,21 +181,57 @@ def undetermined_error(fitted: Fitted, everywhere: Samples) -> float:
         )
         if moves_freely and not hands_alone(rows.present, kinematics.robot):
             J = without_rigid_motion(points[:, :3, 3], J)
-        JJ = np.einsum("nip,niq->pq", J, J) / len(J)
-        away = x - x[0]
+        return np.asarray(np.einsum("nip,niq->pq", J, J) / len(J))
+
+    def squares(JJ: Array) -> Array:
+        """Return the expected squares of predicted positions at each of the sizes [m^2]."""
         of_covariance = np.einsum("pq,kpq->k", JJ, covariance)
         return np.asarray(of_covariance + np.einsum("kp,pq,kq->k", away, JJ, away))
 
     # Beyond the measured poses, what the sizes of each family in turn, and that of the fit, add by likelihood.
     measured = rows.samples.select(rows.evenly(_MOST_MEASURED))
-    added = squares(everywhere) - squares(measured)
+    of_everywhere = products(everywhere)
+    away = x - x[0]
+    added = squares(of_everywhere) - squares(products(measured))
     total = 0.0
+    M = np.zeros(covariance.shape[1:])
     for first in range(1, len(sizes), len(_SIZES)):
         of_family = [0, *range(first, first + len(_SIZES))]
         weights = np.exp(likelihood[of_family] - np.max(likelihood[of_family]))
         mean_added = float(weights @ added[of_family] / np.sum(weights))
-        total += max(mean_added - added[0], 0.0)
-    return float(np.sqrt(total))
+        name = varied[(first - 1) // len(_SIZES)]
+        if not FAMILIES[name].rarity or name in prior.names:
+            total += max(mean_added - added[0], 0.0)
+        shares = weights / np.sum(weights)
+        squares_away = np.einsum("kp,kq->kpq", away[of_family], away[of_family])
+        M += np.einsum("k,kpq->pq", shares, covariance[of_family] + squares_away) - covariance[0]
+    names = tuple(compress(further.model.names, kept))
+    base_motion = None
+    if base_moves and names:
+        poses, J = further.twists(zero, measured)
+        T = rigid_inverse(fitted.estimated_setup().T_frame_base[measured.frame])
+        linear_part = T[:, :3, :3] @ J[:, :3][:, :, kept]
+        base_motion = read_only(best_motion((T @ poses)[:, :3, 3], linear_part))
+    return float(np.sqrt(total)), Undetermined(
+        model=further.model.name,
+        names=names,
+        factor=read_only(_factor_of(M, of_everywhere)),
+        base_motion=base_motion,
+    )
+
+
+def _factor_of(M: Array, products: Array) -> Array:
+    """Return the directions (n, r) of the positive part of M (n, n) that matter to positions, of J^T J = ``products``.
+
+    Eigenvectors are of M with each parameter in units of what it does to positions, so that units do not matter.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(products), _LEAST_EFFECT * np.max(np.diag(products))))
+    values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
+    factor = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    effects = np.einsum("pr,pq,qr->r", factor, products, factor)
+    order = np.argsort(-effects)
+    needed = np.cumsum(effects[order]) <= (1.0 - _LEFT_OUT) * np.sum(effects)
+    return np.asarray(factor[:, order[: int(np.sum(needed)) + 1]])
 
 
 def _grid_of_sizes(fit_sizes: Array, typical: Array, first_varied: int) -> Array:

@@ -21,7 +21,7 @@ from calib.diagnosis.augmented_fit import thin
 from calib.diagnosis.coverage import extrapolation
 from calib.diagnosis.reasons import Verdict
 from calib.diagnosis.stated_values import Scale, instrument_scale
-from calib.diagnosis.undetermined import undetermined_error
+from calib.diagnosis.undetermined import Undetermined, undetermined_error
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.estimate.special_cases.hands_alone import hands_alone
 from calib.fit.registration.setup import Setup
@@ -34,6 +34,7 @@ from calib.numerics.rigid_motion import best_motion, displacements_by, without_r
 from calib.result.board_errors import BoardErrors, board_errors
 from calib.result.parts import Noise
 from calib.result.row_scatter import RowScatter
+from calib.result.stated_places import StatedPlace, stated_places
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import spread_poses
 from calib.robot.robot import Robot
@@ -121,8 +122,12 @@ class FittedModel(Value):
     validation_board: BoardErrors | None = None
     #: Error over the joint limits that families of errors add whose sizes the rows do not determine [m]
     undetermined: float = 0.0
+    #: The covariance of parameters that is due to these families; None without priors, and in files of earlier versions
+    undetermined_families: Undetermined | None = None
     #: Scatter of the rows about the prediction; None in files of earlier versions
     scatter: RowScatter | None = None
+    #: Frames and targets that were stated, and are known as well as the cell says; empty if it does not
+    stated_places: tuple[StatedPlace, ...] = ()
     #: None without cross-validation, unless a usual mistake explains the rows far better, or a frame was not found
     verdict: Verdict | None = None
 
@@ -181,6 +186,7 @@ class FittedModel(Value):
             extrapolation=extrapolation(fitted),
             board=board,
             scatter=RowScatter.of(fitted, cross_validation, board, noise),
+            stated_places=stated_places(fitted),
             **attributes,
         )
 
@@ -191,13 +197,17 @@ class FittedModel(Value):
         of_measured, scale_of_measured = model._expected_error(rows.samples)
         everywhere = Samples.at(q, loads, last_moves(q))
         of_everywhere, scale_everywhere = model._expected_error(everywhere)
+        undetermined, families = undetermined_error(
+            fitted, everywhere, base_moves=base_motion is not None
+        )
         return replace(
             model,
             expected_measured=of_measured,
             expected_everywhere=of_everywhere,
             scale_measured=scale_of_measured,
             scale_everywhere=scale_everywhere,
-            undetermined=undetermined_error(fitted, everywhere),
+            undetermined=undetermined,
+            undetermined_families=families,
         )
 
     @property

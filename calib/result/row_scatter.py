@@ -24,6 +24,7 @@ from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.model.kinematics import Kinematics, Samples
 from calib.numerics.errors import CrossValidation
+from calib.numerics.repeats import scatter_of_repeats
 from calib.result.board_errors import BoardErrors
 from calib.result.parts import Noise
 
@@ -72,7 +73,7 @@ class RowScatter(Value):
             fitted: The fit to N rows.
             validation: Its cross-validation; None if there was none.
             board: Held-out errors of the poses of boards; None without images.
-            noise: The noise of the table: what is stated, and the scatter of repeats.
+            noise: The noise of the table: what is stated, and whether poses were repeated.
         """
         total, freedom = np.full(2, np.nan), np.zeros(2)
         instrument, within, within_freedom = np.full(2, np.nan), np.full(2, np.nan), np.zeros(2)
@@ -81,6 +82,10 @@ class RowScatter(Value):
         kept = estimate.weights > 0.0
         count = float(np.sum(rows.used[kept]))
         added = None if validation is None else _added_by_fits(fitted)
+        repeats = None
+        if noise.repeats is not None:  # by this model, which may know from where the joints came
+            residual = fitted.residual(rows)
+            repeats = scatter_of_repeats(residual, rows.channels, rows.poses, estimate.weights)
         for k, unit in enumerate(UNITS):
             chosen = rows.channels.where(unit) & kept[:, None]
             if np.any(chosen):
@@ -91,7 +96,6 @@ class RowScatter(Value):
                     left = validation.residual[good] ** 2 - added[good]
                     total[k] = max(total[k], float(np.mean(left)))
             instrument[k] = instrument_variance(fitted, unit, noise.sigma_given)
-            repeats = noise.repeats
             if repeats is not None and np.isfinite(repeats.within.get(unit, np.nan)):
                 within[k] = repeats.within[unit] ** 2
                 within_freedom[k] = repeats.freedoms[unit]
