@@ -42,9 +42,9 @@ def test_lines_are_standard_uncertainties_with_their_shares_and_the_whole():
     budget = made(model=3e-4, instrument=4e-4)
     first, second, combined, expanded = cells(budget, angles=False)
     root = np.sqrt(3.0)
-    assert first == [SOURCES[Source.INSTRUMENT], f"{0.4 * root:.3f}", "t", "20", "64 %"]
-    assert second == [SOURCES[Source.MODEL], f"{0.3 * root:.3f}", "t", "20", "36 %"]
-    assert combined[1:] == [f"{0.5 * root:.3f}", "", f"{budget.freedom:.0f}", "100 %"]
+    assert first == [SOURCES[Source.INSTRUMENT], f"{0.4 * root:.3f}", "t", "20", "64"]
+    assert second == [SOURCES[Source.MODEL], f"{0.3 * root:.3f}", "t", "20", "36"]
+    assert combined[1:] == [f"{0.5 * root:.3f}", "", f"{budget.freedom:.0f}", "100"]
     assert expanded[1] == f"{1e3 * budget.position:.3f}"
 
 
