@@ -61,7 +61,7 @@ def budget_table(budget: Budget, *, angles: bool = True, on: Medium = EVERYWHERE
         *[Column("u [deg]", 8, unit="deg", digits=4)] * angles,
         Column("distribution", 12, left=True, gap=2),
         Column("d.o.f.", 7),
-        Column("share", 7),
+        Column("share [%]", 10),
     ]
 
     def row(name: str, position: float, orientation: float, *others: str) -> Row:
@@ -74,12 +74,12 @@ def budget_table(budget: Budget, *, angles: bool = True, on: Medium = EVERYWHERE
             line.orientation,
             line.distribution.value,
             _freedom(line.freedom),
-            f"{100.0 * line.share:.0f} %",
+            f"{100.0 * line.share:.0f}",
         )
         for line in budget.lines
     ]
     whole = _freedom(budget.freedom)
-    rows.append(row("combined", budget.position_std, budget.orientation_std, "", whole, "100 %"))
+    rows.append(row("combined", budget.position_std, budget.orientation_std, "", whole, "100"))
     rows.append(row("expanded, U (95.45 %)", budget.position, budget.orientation, "", "", ""))
     count = len(rows)
     return Table(

@@ -24,6 +24,7 @@ import calib.verbs.calibrate.figure_space as space
 from calib.basics.files import make_folder, write_atomically
 from calib.errors import CalibError, FileError, choices, did_you_mean
 from calib.result.calibration import Calibration
+from calib.robot.ranges import SPREAD
 from calib.show.blocks import Drawing
 from calib.show.look import rows_text
 from calib.show.plotting import render, require_matplotlib, styled
@@ -120,6 +121,7 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
         "rows": rows,
         "estimation": estimation,
         "poses": f"{space.POSES:,}",
+        "spread": str(SPREAD),
         "curve_rows": f"the {rows_text(curves.mask, rows_kind)}, {relation}",
     }
     tried = calibration.method.candidates

@@ -120,7 +120,7 @@ class Accuracy:
     unknowns: int
     #: Number of scalars that these were registered to, repeats counted once
     numbers: int
-    #: Numbers of the judged rows whose error exceeds its U, by unit; a unit is missing if no U is known in it
+    #: Numbers of the judged rows whose error exceeds its U, by unit
     beyond: Mapping[str, tuple[int, ...]] = field(default_factory=ReadOnlyMapping)
     #: Number of the judged rows whose U is known, by unit
     known: Mapping[str, int] = field(default_factory=ReadOnlyMapping)
@@ -138,6 +138,11 @@ class Accuracy:
         if freedom <= 0:
             return np.inf
         return float(np.sqrt(self.numbers / freedom))
+
+    @property
+    def has_uncertainty(self) -> bool:
+        """True if U is known of some judged row."""
+        return any(self.known.values())
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -240,10 +245,9 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     beyond, known = {}, {}
     for unit in evaluation.channels.present:
         has_uncertainty = judged & np.isfinite(evaluation.expanded(unit))
-        if np.any(has_uncertainty):
-            is_beyond = has_uncertainty & ~evaluation.within(unit)
-            beyond[unit] = tuple(np.array(m.rows)[is_beyond].tolist())
-            known[unit] = int(np.sum(has_uncertainty))
+        is_beyond = has_uncertainty & ~evaluation.within(unit)
+        beyond[unit] = tuple(np.array(m.rows)[is_beyond].tolist())
+        known[unit] = int(np.sum(has_uncertainty))
     _, first_of_pose = np.unique(rows.poses[chosen], return_index=True)
     one_per_pose = np.flatnonzero(chosen)[first_of_pose]
     return Accuracy(

@@ -30,6 +30,7 @@ from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.internals import InternalValues
 from calib.model.kinematics import Sightings
 from calib.result.calibration import Calibration
+from calib.result.row_scatter import UNITS
 from calib.robot.robot import Robot
 from calib.uncertainty.at_poses import PoseUncertainty, uncertainty_at
 from calib.uncertainty.coverage import covered_length
@@ -187,7 +188,12 @@ def _measured_std(result: Calibration, rows: Rows, table: Measurements, cell: Ce
     """Return the standard deviation of each measured scalar, (N, D): as the table, the cell or the result states it."""
     stds = np.zeros(rows.used.shape)
     for unit in rows.channels.present:
-        general = cell.sigma.get(unit, result.noise.sigma_given.get(unit, 0.0))
+        of_result = result.noise.sigma_given.get(unit, 0.0)
+        scatter = result.geometry.scatter
+        if scatter is not None and unit in UNITS:
+            variance = scatter.instrument[UNITS.index(unit)]
+            of_result = float(np.sqrt(variance)) if np.isfinite(variance) else of_result
+        general = cell.sigma.get(unit, of_result)
         by_row = table.stated_sigma.get(unit, np.full(len(rows), np.nan))
         by_row = np.where(np.isfinite(by_row), by_row, general)
         of_unit: Mask = rows.channels.where(unit)

@@ -274,7 +274,7 @@ def poses(e: Assessment, robot: str) -> Table:
     notes = []
     if any(RESIDUAL_UNITS[unit].shows_span for unit in units):
         notes.append("x, y, z: the mean error along the axes of the base.")
-    if judged.known:
+    if judged.has_uncertainty:
         notes.append(
             "U: what AP stays below with 95.45 % (as k = 2), by the uncertainties of prediction and measurement."
         )
@@ -287,7 +287,7 @@ def poses(e: Assessment, robot: str) -> Table:
         elsewhere="the file of --json",
         title_above=True,
         indent="  ",
-        on=HTML | TERMINAL if e.accepted is not None or judged.known else HTML,
+        on=HTML | TERMINAL if e.accepted is not None or judged.has_uncertainty else HTML,
     )
 
 

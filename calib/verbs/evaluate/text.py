@@ -120,13 +120,14 @@ def place_sentences(e: Assessment, source: str) -> list[str]:
 
 def uncertainty_sentences(accuracy: Accuracy) -> Iterator[str]:
     """Word in each unit how many of the judged rows have an error within its U, and which are beyond."""
-    for unit, known in accuracy.known.items():
+    counted = {unit: known for unit, known in accuracy.known.items() if known}
+    for unit, known in counted.items():
         beyond = accuracy.beyond[unit]
         measured = RESIDUAL_UNITS[unit].measured
         of = f" of {measured}" if unit != "m" else ""
         text = f"{known - len(beyond)} of {plural(known, 'row')} {'is' if known == 1 else 'are'} within U{of}"
         text += f", beyond: {row_ranges(beyond)}." if beyond else "."
-        if unit == next(iter(accuracy.known)):
+        if unit == next(iter(counted)):
             text += (
                 " U is the expanded uncertainty (95.45 %, as k = 2) of a row's error: that of the prediction, with "
                 "what the model lacks, and that of the measurement together."
