@@ -33,7 +33,11 @@ from calib.verbs.check.poses import candidates_of, check_poses, further_poses
 from calib.verbs.simulate.scenario import Scenario, VirtualCell
 
 #: Base and tip of each arm.
-LINKS = {"ur3": ("base", "tool0"), "ur10e": ("base", "tool0"), "panda": ("panda_link0", "panda_link8")}
+LINKS = {
+    "ur3": ("base", "tool0"),
+    "ur10e": ("base", "tool0"),
+    "panda": ("panda_link0", "panda_link8"),
+}
 
 CHANGES = ("nothing", "frame", "target", "joint")
 
@@ -194,13 +198,25 @@ def case_rows(case: Case, runs: Sequence[list[Outcome]]) -> list[list[str]]:
     outcomes = [outcome for run in runs for outcome in run]
     rows = []
     for change in (*CHANGES, "any change"):
-        chosen = [o for o in outcomes if change in (o.change, "any change") and (change != "any change" or o.change != "nothing")]
+        chosen = [
+            o
+            for o in outcomes
+            if change in (o.change, "any change")
+            and (change != "any change" or o.change != "nothing")
+        ]
         asked = [o for o in chosen if o.asked]
-        shares = [np.mean([getattr(o, name) for o in chosen]) for name in ("alarm", "strict", "first", "honest")]
+        shares = [
+            np.mean([getattr(o, name) for o in chosen])
+            for name in ("alarm", "strict", "first", "honest")
+        ]
         told = np.mean([o.strict or o.rightly for o in chosen])
         row = [f"{case.name}, {case.instrument}", change, str(len(chosen))]
         row += [f"{100 * share:.1f} %" for share in shares]
-        row += [str(len(asked)), f"{np.mean([o.poses for o in asked]):.1f}" if asked else "-", f"{100 * told:.1f} %"]
+        row += [
+            str(len(asked)),
+            f"{np.mean([o.poses for o in asked]):.1f}" if asked else "-",
+            f"{100 * told:.1f} %",
+        ]
         rows.append(row)
     return rows
 

@@ -153,7 +153,9 @@ class Reference(Value):
 
         def whitened(values: Array) -> Array:
             """Return residuals (N, D) or derivatives (N, D, q) in standard deviations of their noise."""
-            return np.asarray(rows.standardise(values) / factor.reshape(*factor.shape, *(1,) * (values.ndim - 2)))
+            return np.asarray(
+                rows.standardise(values) / factor.reshape(*factor.shape, *(1,) * (values.ndim - 2))
+            )
 
         y = whitened(rows.residual(seen))
         J = whitened(rows.derivative(seen))

@@ -57,7 +57,9 @@ def check_text(c: CheckResult, more: CheckPoses | None = None) -> str:
         f"Measured minus predicted is {c.ratio:.2f} times what is expected if nothing has moved; so much evidence of a "
         f"cause would come by chance with {p}."
     )
-    return paragraphs([header], [answer(c), ratio], _causes(c), _meaning(c), _further(more), _noticed(c))
+    return paragraphs(
+        [header], [answer(c), ratio], _causes(c), _meaning(c), _further(more), _noticed(c)
+    )
 
 
 def poses_text(poses: CheckPoses) -> str:
@@ -95,7 +97,11 @@ def _meaning(c: CheckResult) -> Iterator[str]:
             )
         return
     best = c.named[0]
-    allowed, what = (c.expected, "the expected error") if c.tolerance is None else (c.tolerance, "the tolerance")
+    allowed, what = (
+        (c.expected, "the expected error")
+        if c.tolerance is None
+        else (c.tolerance, "the tolerance")
+    )
     compared = "more" if c.matters else "no more"
     yield (
         f"Over the measured joint values it changes positions by {mm(best.change)} ± {mm(best.change_std)} mm rms, "
@@ -147,7 +153,10 @@ def _noticed(c: CheckResult) -> Iterator[str]:
             else:
                 unseen.append(name)
         else:
-            for kind, size, text in (("shift", one.shift, f"{mm(one.shift)} mm"), ("turn", one.turn, f"{deg(one.turn)} deg")):
+            for kind, size, text in (
+                ("shift", one.shift, f"{mm(one.shift)} mm"),
+                ("turn", one.turn, f"{deg(one.turn)} deg"),
+            ):
                 if np.isfinite(size):
                     sizes.append(f"a {kind} of {text}")
                 elif np.isinf(size):
@@ -180,7 +189,11 @@ def _name(c: CheckResult, one: Finding | Noticed) -> str:
     if one.code == "joint":
         return f"joint '{one.name}'"
     if isinstance(one, Finding) and one.code == "row":
-        return f"image '{one.image}'" if one.image else f"row{'s' * (len(one.rows) > 1)} {row_ranges(one.rows)}"
+        return (
+            f"image '{one.image}'"
+            if one.image
+            else f"row{'s' * (len(one.rows) > 1)} {row_ranges(one.rows)}"
+        )
     if one.code == "other":
         return "all poses differently"
     if one.code == "base":
@@ -193,7 +206,11 @@ def _name(c: CheckResult, one: Finding | Noticed) -> str:
     alone = one.code == "target" or len(result.setup.groups) > 1
     if one.code == "frame":
         what = ("camera" if images else instrument_word(result)) + named
-        return f"the {what}{' in the hand' * carried}" if carried or alone else f"the {what} or the base"
+        return (
+            f"the {what}{' in the hand' * carried}"
+            if carried or alone
+            else f"the {what} or the base"
+        )
     what = ("board" if images else "target") + named
     return f"the {what} or the base" if carried else f"the {what} in the hand"
 
