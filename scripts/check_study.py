@@ -2,10 +2,11 @@
 
     python scripts/check_study.py [CALIBRATIONS] [CHECKS] [SEED] [--only WORD] [--workers N]
 
-A true robot is drawn, measured at 40 poses and calibrated, and three poses to check at are chosen (`calib.check_poses`).
-There it is measured again, with nothing moved; with the frame moved (tracker or camera); the target (reflector or board);
-and the zero of a joint at random: by 3 to 30 times the noise of a coordinate at the target, rms over random poses, at
-random in the logarithm. Of pictures that noise is the uncertainty of the position of the board in one of them, an axis.
+A true robot is drawn, measured at 40 poses and calibrated, and three poses to check at are chosen by
+`calib.check_poses`. There it is measured again, with nothing moved; with the frame moved (tracker or camera); the
+target (reflector or board); and the zero of a joint at random: by 3 to 30 times the noise of a coordinate at the
+target, rms over random poses, at random in the logarithm. Of pictures that noise is the uncertainty of the position of
+the board in one of them, an axis.
 
 Printed are, of each kind of change, how often something was said to have moved, how often the true cause is the most
 probable one and nothing is said but that, how often it is that one or among those named as undecided, and of the

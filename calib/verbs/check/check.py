@@ -33,7 +33,7 @@ from calib.result.calibration_file import ResultInput, result_of
 from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.ranges import spread_between, spread_poses
 from calib.verbs.check.causes import MOVING, Cause, Code, causes_of, moving_causes
-from calib.verbs.check.evidence import Directions, Test, estimate, log_weights
+from calib.verbs.check.evidence import Directions, EvidenceTest, estimate, log_weights
 from calib.verbs.check.innovations import LEVER, Reference, Stack, Stop, numbered_as, stacked
 
 #: ``"nothing"``: no evidence that anything has moved; ``"moved"``: one cause has at least `SURE`; ``"undecided"``:
@@ -119,7 +119,7 @@ class CheckResult(Value):
     causes: tuple[Cause, ...]
     directions: tuple[Directions, ...]
     #: The distribution of the evidence if nothing has moved
-    test: Test
+    test: EvidenceTest
 
     def __repr__(self) -> str:
         """One line: the answer."""
@@ -301,7 +301,7 @@ def judged(
     reference: Reference,
     stops: tuple[Stop, ...],
     tolerance: float | None = None,
-    test: Test | None = None,
+    test: EvidenceTest | None = None,
 ) -> CheckResult:
     """Weigh the causes by stops that were compared with a result.
 
@@ -319,12 +319,13 @@ def judged(
     weights = logsumexp(log_weights(directions, stack.y[:, None], freedom)[:, :, 0], axis=1)
     evidence = float(logsumexp(weights))
     if test is None:
-        test = Test.of(directions, len(stack.y), freedom)
+        test = EvidenceTest.of(directions, len(stack.y), freedom)
     p_value = test.p_value(evidence)
     probability = np.exp(weights - evidence)
-    findings = []
-    for k in np.argsort(-probability, kind="stable").tolist():
-        findings.append(_finding(reference, stack, causes[k], directions[k], float(probability[k])))
+    findings = [
+        _finding(reference, stack, causes[k], directions[k], float(probability[k]))
+        for k in np.argsort(-probability, kind="stable").tolist()
+    ]
 
     outcome: Outcome = "nothing"
     if evidence > test.limit:
@@ -439,7 +440,7 @@ def _spread_samples(reference: Reference, cause: Cause) -> Samples:
     return Samples(q, of_frame, of_target, chain=chain)
 
 
-def _noticed(test: Test, stack: Stack, cause: Cause) -> Noticed:
+def _noticed(test: EvidenceTest, stack: Stack, cause: Cause) -> Noticed:
     """Find the smallest shift and turn of a cause that would have been noticed in 95 of 100 checks."""
     found = {}
     for unit in ("m", "rad"):

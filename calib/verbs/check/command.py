@@ -33,11 +33,11 @@ Examples:
   calib check result.json this_morning.csv --tolerance "0.2 mm" --json check.json -o more_poses.csv
   calib check result.json this_morning_images
 
-RESULT is a result of 'calib calibrate --json', which contains the robot. DATA are fresh rows, three poses or pictures, or
-a folder with pictures and their joint values in joints.csv. The answer is that nothing has moved, or what has: the camera
-or tracker, the board or target, the base, the zero of a joint, each with its probability. If several causes explain the
-rows, it says how many more poses would tell, and -o writes them. --plan chooses the poses before anything is measured.
-The exit status is 0 if nothing has moved, and 3 otherwise.
+RESULT is a result of 'calib calibrate --json', which contains the robot. DATA are fresh rows, three poses or pictures,
+or a folder with pictures and their joint values in joints.csv. The answer is that nothing has moved, or what has: the
+camera or tracker, the board or target, the base, the zero of a joint, each with its probability. If several causes
+explain the rows, it says how many more poses would tell, and -o writes them. --plan chooses the poses before anything
+is measured. The exit status is 0 if nothing has moved, and 3 otherwise.
 """)
 def check(
     result: Annotated[

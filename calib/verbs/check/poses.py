@@ -1,9 +1,10 @@
 """Poses to check at: those among many reachable ones that tell the causes apart best.
 
 A set of poses is worth the mean probability that the true cause would get there, against the other causes and against
-"nothing", over drawn displacements of every cause that show `_SHOWN` standard deviations at a pose. The set is the best of some drawn at random, then improved pose by
-pose. Further poses, after a check that could not decide, are worth the same over what it left possible: displacements
-are drawn from the posterior of the causes that it named, and one pose after the other is added.
+"nothing", over drawn displacements of every cause that show `_SHOWN` standard deviations at a pose. The set is the best
+of some drawn at random, then improved pose by pose. Further poses, after a check that could not decide, are worth the
+same over what it left possible: displacements are drawn from the posterior of the causes that it named, and one pose
+after the other is added.
 
 Poses are within the joint values that the result was fitted to, where its model holds, and free of collision if the
 robot's shapes are known.
@@ -268,7 +269,7 @@ def further_poses(
     for key, probability in of_named.items():
         k = keys.index(key)
         cause = check.causes[k]
-        number = max(int(round(8 * _DRAWS * probability)), 4)
+        number = max(round(8 * _DRAWS * probability), 4)
         x = np.zeros((number, c))
         if cause.code in MOVING:
             mean, covariance = estimate(check.directions[k], check.stack.y, freedom)

@@ -37,7 +37,7 @@ def answer(c: CheckResult) -> str:
     if c.outcome == "other":
         return "Something is off, and no single cause explains it."
     name = _name(c, best)
-    return f"{name[0].upper()}{name[1:]} has moved: {_moved(c, best)} (P {_probability(best)})."
+    return f"{name[0].upper()}{name[1:]} has moved: {_moved(best)} (P {_probability(best)})."
 
 
 def check_text(c: CheckResult, more: CheckPoses | None = None) -> str:
@@ -81,7 +81,7 @@ def _causes(c: CheckResult) -> Iterator[str]:
         if finding.probability < _LISTED:
             continue
         name = _name(c, finding)
-        line = f"  P {_probability(finding)}  {name}: {_moved(c, finding)}"
+        line = f"  P {_probability(finding)}  {name}: {_moved(finding)}"
         if finding.code == "joint":
             line += f"; positions by {mm(finding.change)} ± {mm(finding.change_std)} mm"
         yield line
@@ -172,7 +172,7 @@ def _probability(finding: Finding) -> str:
     return f"> {_NEAREST}" if finding.probability > _NEAREST else f"= {finding.probability:.3f}"
 
 
-def _moved(c: CheckResult, finding: Finding) -> str:
+def _moved(finding: Finding) -> str:
     """Say how far something has moved."""
     if finding.code == "joint":
         factor, unit = joint_unit(prismatic=finding.unit == "m")

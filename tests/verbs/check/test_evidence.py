@@ -11,7 +11,7 @@ from calib.verbs.check.evidence import (
     LEVEL,
     SIZES,
     Directions,
-    Test,
+    EvidenceTest,
     estimate,
     log_weights,
 )
@@ -47,7 +47,7 @@ def test_directions_without_effect_are_left_out():
 @pytest.mark.parametrize("freedom", [6.0, np.inf])
 def test_the_level_is_that_of_fresh_draws(freedom: float):
     causes = [Directions.of(WIDE, 1.0), Directions.of(NARROW, 1.0)]
-    test = Test.of(causes, 9, freedom)
+    test = EvidenceTest.of(causes, 9, freedom)
     rng = np.random.default_rng(7)
     y = rng.standard_normal((9, 20_000))
     if np.isfinite(freedom):
@@ -62,7 +62,7 @@ def test_the_level_is_that_of_fresh_draws(freedom: float):
 
 def test_what_is_noticed_of_a_single_direction_is_that_of_a_normal_number():
     causes = [Directions.of(NARROW, 1.0)]
-    test = Test.of(causes, 9, np.inf)
+    test = EvidenceTest.of(causes, 9, np.inf)
     # One direction alone: the evidence rises with its square, so that the test is one of a normal number.
     expected = norm.isf(LEVEL / 2.0) + norm.isf(0.05)
     direction = NARROW[:, 0] / np.linalg.norm(NARROW)
