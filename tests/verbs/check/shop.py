@@ -72,7 +72,7 @@ def points(
     noise: float = 0.0,
     seed: int = 0,
 ) -> Measurements:
-    """Points of the calibrated arm: the base displaced by a pose, the target by a shift [m], the joints by zeros [rad]."""
+    """Points of the calibrated arm: base displaced by a pose, target by a shift [m], joints by zeros [rad]."""
     result = paper_result()
     T = tip_poses(result.robot, q + np.array(zeros))
     place = np.append(result.target + np.array(target), 1.0)
