@@ -2,10 +2,11 @@
 
     python scripts/check_study.py [CALIBRATIONS] [CHECKS] [SEED] [--only WORD] [--workers N]
 
-A true robot is drawn, measured at 40 poses and calibrated, and three poses to check at are chosen (`calib.check_poses`).
-There it is measured again, with nothing moved; with the frame moved (tracker or camera); the target (reflector or board);
-and the zero of a joint at random: by 3 to 30 times the noise of a coordinate at the target, rms over random poses, at
-random in the logarithm. Of pictures that noise is the uncertainty of the position of the board in one of them, an axis.
+A true robot is drawn, measured at 40 poses and calibrated, and three poses to check at are chosen by
+`calib.check_poses`. There it is measured again, with nothing moved; with the frame moved (tracker or camera); the
+target (reflector or board); and the zero of a joint at random: by 3 to 30 times the noise of a coordinate at the
+target, rms over random poses, at random in the logarithm. Of pictures that noise is the uncertainty of the position of
+the board in one of them, an axis.
 
 Printed are, of each kind of change, how often something was said to have moved, how often the true cause is the most
 probable one and nothing is said but that, how often it is that one or among those named as undecided, and of the
@@ -33,7 +34,11 @@ from calib.verbs.check.poses import candidates_of, check_poses, further_poses
 from calib.verbs.simulate.scenario import Scenario, VirtualCell
 
 #: Base and tip of each arm.
-LINKS = {"ur3": ("base", "tool0"), "ur10e": ("base", "tool0"), "panda": ("panda_link0", "panda_link8")}
+LINKS = {
+    "ur3": ("base", "tool0"),
+    "ur10e": ("base", "tool0"),
+    "panda": ("panda_link0", "panda_link8"),
+}
 
 CHANGES = ("nothing", "frame", "target", "joint")
 
@@ -194,13 +199,25 @@ def case_rows(case: Case, runs: Sequence[list[Outcome]]) -> list[list[str]]:
     outcomes = [outcome for run in runs for outcome in run]
     rows = []
     for change in (*CHANGES, "any change"):
-        chosen = [o for o in outcomes if change in (o.change, "any change") and (change != "any change" or o.change != "nothing")]
+        chosen = [
+            o
+            for o in outcomes
+            if change in (o.change, "any change")
+            and (change != "any change" or o.change != "nothing")
+        ]
         asked = [o for o in chosen if o.asked]
-        shares = [np.mean([getattr(o, name) for o in chosen]) for name in ("alarm", "strict", "first", "honest")]
+        shares = [
+            np.mean([getattr(o, name) for o in chosen])
+            for name in ("alarm", "strict", "first", "honest")
+        ]
         told = np.mean([o.strict or o.rightly for o in chosen])
         row = [f"{case.name}, {case.instrument}", change, str(len(chosen))]
         row += [f"{100 * share:.1f} %" for share in shares]
-        row += [str(len(asked)), f"{np.mean([o.poses for o in asked]):.1f}" if asked else "-", f"{100 * told:.1f} %"]
+        row += [
+            str(len(asked)),
+            f"{np.mean([o.poses for o in asked]):.1f}" if asked else "-",
+            f"{100 * told:.1f} %",
+        ]
         rows.append(row)
     return rows
 

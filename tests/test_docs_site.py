@@ -260,7 +260,7 @@ HERE = (
 )
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
-CALLED = ("fleet.md", "report.md", "ros.md")
+CALLED = ("check.md", "fleet.md", "report.md", "ros.md")
 
 
 def python(page: str) -> str:

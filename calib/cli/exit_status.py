@@ -12,5 +12,6 @@ class ExitStatus(IntEnum):
     REFUSED = 1  #: An error, or a robot of a fleet that failed.
     WRONG_CALL = 2  #: An unknown option or argument, or a value that it does not take.
     #: Something for a robot was withheld because of a verdict ``do not use``, or a tolerance was not shown to be kept.
+    #: Or something has moved since a calibration.
     NOT_ACCEPTED = 3
     INTERRUPTED = 130  #: Ctrl-C.

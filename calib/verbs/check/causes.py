@@ -63,7 +63,10 @@ def moving_causes(reference: Reference) -> tuple[Cause, ...]:
     c = len(model)
     causes = []
     by_place: dict[str, Array] = {}
-    for code, places, names in (("frame", frames, setup.groups), ("target", targets, setup.targets)):
+    for code, places, names in (
+        ("frame", frames, setup.groups),
+        ("target", targets, setup.targets),
+    ):
         for place, name in zip(places, names, strict=True):
             chosen = [k for k, parameter in enumerate(model.parameters) if parameter.place == place]
             by_place[place] = np.eye(c)[:, chosen]
@@ -101,7 +104,9 @@ def _adjoint(T: Array) -> Array:
     return result
 
 
-def causes_of(moving: Sequence[Cause], stack: Stack) -> tuple[tuple[Cause, ...], tuple[Directions, ...]]:
+def causes_of(
+    moving: Sequence[Cause], stack: Stack
+) -> tuple[tuple[Cause, ...], tuple[Directions, ...]]:
     """List the causes that some stops can show, and how their displacements show there.
 
     Args:

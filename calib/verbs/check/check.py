@@ -20,8 +20,8 @@ from calib.basics.tables import Table
 from calib.basics.values import Value, shown_by
 from calib.data.cell import Cell
 from calib.data.columns import SETS
-from calib.data.inputs import CellInput, TableInput, cell_of, inputs_of
 from calib.data.forms.column_options import ColumnsInput
+from calib.data.inputs import CellInput, TableInput, cell_of, inputs_of
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError, ModelError, choices
 from calib.fit.registration.board_ends import with_ends_of
@@ -33,7 +33,7 @@ from calib.result.calibration_file import ResultInput, result_of
 from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.ranges import spread_between, spread_poses
 from calib.verbs.check.causes import MOVING, Cause, Code, causes_of, moving_causes
-from calib.verbs.check.evidence import Directions, Test, estimate, log_weights
+from calib.verbs.check.evidence import Directions, EvidenceTest, estimate, log_weights
 from calib.verbs.check.innovations import LEVER, Reference, Stack, Stop, numbered_as, stacked
 
 #: ``"nothing"``: no evidence that anything has moved; ``"moved"``: one cause has at least `SURE`; ``"undecided"``:
@@ -119,7 +119,7 @@ class CheckResult(Value):
     causes: tuple[Cause, ...]
     directions: tuple[Directions, ...]
     #: The distribution of the evidence if nothing has moved
-    test: Test
+    test: EvidenceTest
 
     def __repr__(self) -> str:
         """One line: the answer."""
@@ -159,7 +159,9 @@ class CheckResult(Value):
     @property
     def noticed(self) -> tuple[Noticed, ...]:
         """The smallest displacement of each cause that would have been noticed; it is computed when it is asked for."""
-        return tuple(_noticed(self.test, self.stack, cause) for cause in moving_causes(self.reference))
+        return tuple(
+            _noticed(self.test, self.stack, cause) for cause in moving_causes(self.reference)
+        )
 
     @property
     def matters(self) -> bool | None:
@@ -219,7 +221,11 @@ def fresh_stops(reference: Reference, measurements: TableInput, cell: Cell) -> t
     rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
     rows = _in_result(reference, rows, setup.groups, setup.targets, table.source)
     from_one_end = with_ends_of(
-        table, known, rows, reference.part.setup, reference.displaced.robot.poses(rows.joints, rows.samples.chain)
+        table,
+        known,
+        rows,
+        reference.part.setup,
+        reference.displaced.robot.poses(rows.joints, rows.samples.chain),
     )
     if from_one_end.other_end:
         table = from_one_end
@@ -254,7 +260,10 @@ def read_fresh(
     estimate, validate = SETS
     if "set" in table.header:
         k = table.header.index("set")
-        changed = [[*row[:k], estimate, *row[k + 1 :]] if row[k] == validate else row for row in table.cells]
+        changed = [
+            [*row[:k], estimate, *row[k + 1 :]] if row[k] == validate else row
+            for row in table.cells
+        ]
         table = replace(table, cells=tuple(changed))
     return Measurements.read(
         table,
@@ -292,7 +301,7 @@ def judged(
     reference: Reference,
     stops: tuple[Stop, ...],
     tolerance: float | None = None,
-    test: Test | None = None,
+    test: EvidenceTest | None = None,
 ) -> CheckResult:
     """Weigh the causes by stops that were compared with a result.
 
@@ -310,12 +319,13 @@ def judged(
     weights = logsumexp(log_weights(directions, stack.y[:, None], freedom)[:, :, 0], axis=1)
     evidence = float(logsumexp(weights))
     if test is None:
-        test = Test.of(directions, len(stack.y), freedom)
+        test = EvidenceTest.of(directions, len(stack.y), freedom)
     p_value = test.p_value(evidence)
     probability = np.exp(weights - evidence)
-    findings = []
-    for k in np.argsort(-probability, kind="stable").tolist():
-        findings.append(_finding(reference, stack, causes[k], directions[k], float(probability[k])))
+    findings = [
+        _finding(reference, stack, causes[k], directions[k], float(probability[k]))
+        for k in np.argsort(-probability, kind="stable").tolist()
+    ]
 
     outcome: Outcome = "nothing"
     if evidence > test.limit:
@@ -327,7 +337,9 @@ def judged(
         result=result,
         outcome=outcome,
         p_value=p_value,
-        nothing=float(1.0 / (1.0 + np.exp(min(evidence - np.log(sum(d.prior for d in directions)), 700.0)))),
+        nothing=float(
+            1.0 / (1.0 + np.exp(min(evidence - np.log(sum(d.prior for d in directions)), 700.0)))
+        ),
         findings=tuple(findings),
         stops=len(stops),
         numbers=len(stack.y),
@@ -356,27 +368,54 @@ def _finding(
     if cause.code not in MOVING:
         shift = mean.reshape(-1, 6)[:, :3]
         size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
-        spread = np.trace(covariance.reshape(len(shift), 6, len(shift), 6)[:, :3, :, :3].trace(0, 0, 2))
+        spread = np.trace(
+            covariance.reshape(len(shift), 6, len(shift), 6)[:, :3, :, :3].trace(0, 0, 2)
+        )
         std = float(np.sqrt(spread / len(shift)))
-        return Finding(cause.code, "", probability, size, std, "m", np.nan, np.nan, np.nan, cause.rows, cause.image)
+        return Finding(
+            cause.code,
+            "",
+            probability,
+            size,
+            std,
+            "m",
+            np.nan,
+            np.nan,
+            np.nan,
+            cause.rows,
+            cause.image,
+        )
     change, change_std = _effect(reference, cause, mean, covariance)
     if cause.code == "joint":
         unit = cause.units[0]
-        size, std = float(mean[0] * cause.scale[0]), float(np.sqrt(covariance[0, 0]) * cause.scale[0])
-        return Finding(cause.code, cause.name, probability, size, std, unit, np.nan, change, change_std)
+        size, std = (
+            float(mean[0] * cause.scale[0]),
+            float(np.sqrt(covariance[0, 0]) * cause.scale[0]),
+        )
+        return Finding(
+            cause.code, cause.name, probability, size, std, unit, np.nan, change, change_std
+        )
     turns = np.array([unit == "rad" for unit in cause.units])
     visible = np.linalg.norm(directions.V[:, turns], axis=0) > 1e-6 if turns.any() else np.zeros(0)
     turn = float(np.linalg.norm(mean[turns]) / LEVER) if np.any(visible) else np.nan
-    return Finding(cause.code, cause.name, probability, change, change_std, "m", turn, change, change_std)
+    return Finding(
+        cause.code, cause.name, probability, change, change_std, "m", turn, change, change_std
+    )
 
 
-def _effect(reference: Reference, cause: Cause, mean: Array, covariance: Array) -> tuple[float, float]:
+def _effect(
+    reference: Reference, cause: Cause, mean: Array, covariance: Array
+) -> tuple[float, float]:
     """Return the change of the target's positions over the fitted joint values, rms, and its standard deviation [m]."""
     samples = _spread_samples(reference, cause)
-    _, twists = reference.displaced.twists(np.zeros(len(reference.displaced.model)), samples, rotation=False)
+    _, twists = reference.displaced.twists(
+        np.zeros(len(reference.displaced.model)), samples, rotation=False
+    )
     by_cause = twists @ cause.mixing
     change = np.sqrt(np.mean(np.sum((by_cause @ mean) ** 2, axis=1)))
-    variance = np.mean(np.trace(by_cause @ covariance @ by_cause.transpose(0, 2, 1), axis1=1, axis2=2))
+    variance = np.mean(
+        np.trace(by_cause @ covariance @ by_cause.transpose(0, 2, 1), axis1=1, axis2=2)
+    )
     return float(change), float(np.sqrt(variance))
 
 
@@ -401,7 +440,7 @@ def _spread_samples(reference: Reference, cause: Cause) -> Samples:
     return Samples(q, of_frame, of_target, chain=chain)
 
 
-def _noticed(test: Test, stack: Stack, cause: Cause) -> Noticed:
+def _noticed(test: EvidenceTest, stack: Stack, cause: Cause) -> Noticed:
     """Find the smallest shift and turn of a cause that would have been noticed in 95 of 100 checks."""
     found = {}
     for unit in ("m", "rad"):

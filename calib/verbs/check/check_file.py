@@ -52,7 +52,8 @@ def check_table(c: CheckResult, more: CheckPoses | None = None) -> dict[str, Any
         "tolerance_m": c.tolerance,
         "matters": c.matters,
         "noticed": [
-            {"code": one.code, "name": one.name, "shift_m": one.shift, "turn_rad": one.turn} for one in c.noticed
+            {"code": one.code, "name": one.name, "shift_m": one.shift, "turn_rad": one.turn}
+            for one in c.noticed
         ],
         "further": further,
         "run": c.result.run,

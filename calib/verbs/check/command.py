@@ -33,11 +33,11 @@ Examples:
   calib check result.json this_morning.csv --tolerance "0.2 mm" --json check.json -o more_poses.csv
   calib check result.json this_morning_images
 
-RESULT is a result of 'calib calibrate --json', which contains the robot. DATA are fresh rows, three poses or pictures, or
-a folder with pictures and their joint values in joints.csv. The answer is that nothing has moved, or what has: the camera
-or tracker, the board or target, the base, the zero of a joint, each with its probability. If several causes explain the
-rows, it says how many more poses would tell, and -o writes them. --plan chooses the poses before anything is measured.
-The exit status is 0 if nothing has moved, and 3 otherwise.
+RESULT is a result of 'calib calibrate --json', which contains the robot. DATA are fresh rows, three poses or pictures,
+or a folder with pictures and their joint values in joints.csv. The answer is that nothing has moved, or what has: the
+camera or tracker, the board or target, the base, the zero of a joint, each with its probability. If several causes
+explain the rows, it says how many more poses would tell, and -o writes them. --plan chooses the poses before anything
+is measured. The exit status is 0 if nothing has moved, and 3 otherwise.
 """)
 def check(
     result: Annotated[
@@ -51,7 +51,9 @@ def check(
     table_options: TableOptions,
     data: Annotated[
         Path | None,
-        typer.Argument(metavar="[DATA]", help="Table with a few fresh rows, or a folder of pictures."),
+        typer.Argument(
+            metavar="[DATA]", help="Table with a few fresh rows, or a folder of pictures."
+        ),
     ] = None,
     tolerance: Annotated[
         str | None,
@@ -64,7 +66,10 @@ def check(
     plan: Annotated[
         int | None,
         typer.Option(
-            "--plan", metavar="N", min=1, help="Choose N poses to check at, in place of a check of DATA."
+            "--plan",
+            metavar="N",
+            min=1,
+            help="Choose N poses to check at, in place of a check of DATA.",
         ),
     ] = None,
     output: Annotated[
@@ -95,7 +100,9 @@ def check(
         )
     if plan is not None and (json is not None or tolerance is not None):
         raise CalibError("--json and --tolerance are of a check: leave them out with --plan.")
-    check_outputs([output, json], [result, data, cell_options.file, table_options.points], force=force)
+    check_outputs(
+        [output, json], [result, data, cell_options.file, table_options.points], force=force
+    )
     allowed = None
     if tolerance is not None:
         allowed = parse_amount(tolerance, "--tolerance", LENGTH, "0.2 mm")
@@ -111,7 +118,9 @@ def check(
 
     assert data is not None
     known = reference.complete_cell(cell)
-    with table_of(data, list(known.boards.values()), list(known.cameras.values()), quiet=quiet) as path:
+    with table_of(
+        data, list(known.boards.values()), list(known.cameras.values()), quiet=quiet
+    ) as path:
         points, unit = table_options.points, table_options.points_unit
         rows = read_fresh(reference, path, table_options.parsed(), points, unit)
     checked = check_rows(reference, rows, cell, tolerance=allowed)

@@ -91,7 +91,7 @@ def log_weights(causes: Sequence[Directions], y: Array, freedom: float) -> Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Test(Value):
+class EvidenceTest(Value):
     """The distribution of the evidence if nothing has moved."""
 
     causes: tuple[Directions, ...]
@@ -100,7 +100,7 @@ class Test(Value):
     null: Array
 
     @classmethod
-    def of(cls, causes: Sequence[Directions], numbers: int, freedom: float) -> Test:
+    def of(cls, causes: Sequence[Directions], numbers: int, freedom: float) -> EvidenceTest:
         """Draw the distribution of the evidence of n ``numbers``; the same draws each time."""
         draws = _draw(np.random.default_rng(_SEED), numbers, _DRAWS, freedom)
         weights = log_weights(causes, draws, freedom)

@@ -1,4 +1,4 @@
-"""Innovations: what is measured at fresh stops minus what a result predicts, and how it would change if something moved.
+"""Innovations: measured at fresh stops minus predicted by a result, and how that changes if something has moved.
 
 The n scalars of all stops have the error
 
@@ -93,7 +93,7 @@ class Reference(Value):
 
     @classmethod
     def of(cls, result: Calibration) -> Reference:
-        """Prepare a result: the displacements, and the noise of fresh rows by the result's own and its held-out rows."""
+        """Prepare a result: the displacements, and the noise of fresh rows by its own and its held-out rows."""
         part = result.part(non_geometric=True)
         setup = part.setup
         model = error_model(
@@ -153,7 +153,9 @@ class Reference(Value):
 
         def whitened(values: Array) -> Array:
             """Return residuals (N, D) or derivatives (N, D, q) in standard deviations of their noise."""
-            return np.asarray(rows.standardise(values) / factor.reshape(*factor.shape, *(1,) * (values.ndim - 2)))
+            return np.asarray(
+                rows.standardise(values) / factor.reshape(*factor.shape, *(1,) * (values.ndim - 2))
+            )
 
         y = whitened(rows.residual(seen))
         J = whitened(rows.derivative(seen))

@@ -1,9 +1,10 @@
 """Poses to check at: those among many reachable ones that tell the causes apart best.
 
 A set of poses is worth the mean probability that the true cause would get there, against the other causes and against
-"nothing", over drawn displacements of every cause that show `_SHOWN` standard deviations at a pose. The set is the best of some drawn at random, then improved pose by
-pose. Further poses, after a check that could not decide, are worth the same over what it left possible: displacements
-are drawn from the posterior of the causes that it named, and one pose after the other is added.
+"nothing", over drawn displacements of every cause that show `_SHOWN` standard deviations at a pose. The set is the best
+of some drawn at random, then improved pose by pose. Further poses, after a check that could not decide, are worth the
+same over what it left possible: displacements are drawn from the posterior of the causes that it named, and one pose
+after the other is added.
 
 Poses are within the joint values that the result was fitted to, where its model holds, and free of collision if the
 robot's shapes are known.
@@ -37,7 +38,7 @@ from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.robot import Robot
 from calib.verbs.check.causes import MOVING, Cause, causes_of, moving_causes
 from calib.verbs.check.check import SURE, CheckResult
-from calib.verbs.check.evidence import Directions, estimate, log_weights
+from calib.verbs.check.evidence import estimate, log_weights
 from calib.verbs.check.innovations import Reference, Stop, stacked
 from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
 from calib.verbs.plan.collision import CollisionCheck
@@ -101,7 +102,9 @@ class CheckPoses(Value):
             FileError: The file exists, or cannot be written.
         """
         check_path("path", path)
-        rows = list(plan_rows(self.sensitivity.instrument, _Sheet(self.sensitivity, self.joints), first_row))
+        rows = list(
+            plan_rows(self.sensitivity.instrument, _Sheet(self.sensitivity, self.joints), first_row)
+        )
         header = list(rows[0])
         table = [header, *([row.get(name, "") for name in header] for row in rows)]
         return write_atomically(path, csv_bytes(table), overwrite=overwrite)
@@ -260,11 +263,13 @@ def further_poses(
     c = check.stack.by_displacements.shape[1]
     drawn, named = [], []
     keys = [_key(cause) for cause in check.causes]
-    of_named = {_key(finding): finding.probability for finding in check.named if finding.code != "other"}
+    of_named = {
+        _key(finding): finding.probability for finding in check.named if finding.code != "other"
+    }
     for key, probability in of_named.items():
         k = keys.index(key)
         cause = check.causes[k]
-        number = max(int(round(8 * _DRAWS * probability)), 4)
+        number = max(round(8 * _DRAWS * probability), 4)
         x = np.zeros((number, c))
         if cause.code in MOVING:
             mean, covariance = estimate(check.directions[k], check.stack.y, freedom)
@@ -293,7 +298,9 @@ def further_poses(
     while len(chosen) < most:
         tried = rng.choice(len(candidates.stops), min(_TRIED, len(candidates.stops)), replace=False)
         taken = [candidates.stops[i] for i in chosen]
-        found = [(worth([*taken, candidates.stops[i]]), i) for i in tried.tolist() if i not in chosen]
+        found = [
+            (worth([*taken, candidates.stops[i]]), i) for i in tried.tolist() if i not in chosen
+        ]
         (_, share), best = max(found)
         chosen.append(best)
         shares.append(share)
@@ -372,7 +379,11 @@ def candidates_of(reference: Reference, cell: Cell, seed: int) -> Candidates:
     cell = result.complete_cell(with_chain_of_result(cell, result, "The calibration"))
     cameras = dict(list(cell.cameras.items())[:1])
     boards = dict(list(cell.boards.items())[:1])
-    kind = next(kind for kind, group in zip(result.rows.kinds, result.rows.groups, strict=True) if group == setup.groups[0])
+    kind = next(
+        kind
+        for kind, group in zip(result.rows.kinds, result.rows.groups, strict=True)
+        if group == setup.groups[0]
+    )
     target = setup.targets[0]
     is_named = target != DEFAULT_TARGET and not boards
     known = replace(
@@ -395,17 +406,24 @@ def candidates_of(reference: Reference, cell: Cell, seed: int) -> Candidates:
     ranges = np.array(planning_ranges(robot, cell.ranges, 0.0))
     fitted = result.rows.ranges
     if np.isfinite(fitted).all() and fitted.shape == ranges.shape:
-        inside = np.column_stack([np.maximum(ranges[:, 0], fitted[:, 0]), np.minimum(ranges[:, 1], fitted[:, 1])])
+        inside = np.column_stack(
+            [np.maximum(ranges[:, 0], fitted[:, 0]), np.minimum(ranges[:, 1], fitted[:, 1])]
+        )
         ranges = np.where((inside[:, 0] < inside[:, 1])[:, None], inside, ranges)
     conditions = [*instrument.sees(sensitivity.sightlines)]
     checked = True
     try:
         body = collision_model(instrument, sensitivity, CollisionCheck())
-        conditions += [*free_lines_of_sight(sensitivity, body, view), Condition("collision", body.free)]
+        conditions += [
+            *free_lines_of_sight(sensitivity, body, view),
+            Condition("collision", body.free),
+        ]
     except UrdfError:  # no shapes, or meshes that are not here
         checked = False
     if instrument.VIEWPOINT_NUMBERS:
-        pool = draw_towards(instrument, sensitivity.sightlines[0], ranges, conditions, _CANDIDATES, seed)
+        pool = draw_towards(
+            instrument, sensitivity.sightlines[0], ranges, conditions, _CANDIDATES, seed
+        )
     else:
         pool = draw(robot, ranges, conditions, _CANDIDATES, seed)
 

@@ -37,7 +37,7 @@ def answer(c: CheckResult) -> str:
     if c.outcome == "other":
         return "Something is off, and no single cause explains it."
     name = _name(c, best)
-    return f"{name[0].upper()}{name[1:]} has moved: {_moved(c, best)} (P {_probability(best)})."
+    return f"{name[0].upper()}{name[1:]} has moved: {_moved(best)} (P {_probability(best)})."
 
 
 def check_text(c: CheckResult, more: CheckPoses | None = None) -> str:
@@ -57,7 +57,9 @@ def check_text(c: CheckResult, more: CheckPoses | None = None) -> str:
         f"Measured minus predicted is {c.ratio:.2f} times what is expected if nothing has moved; so much evidence of a "
         f"cause would come by chance with {p}."
     )
-    return paragraphs([header], [answer(c), ratio], _causes(c), _meaning(c), _further(more), _noticed(c))
+    return paragraphs(
+        [header], [answer(c), ratio], _causes(c), _meaning(c), _further(more), _noticed(c)
+    )
 
 
 def poses_text(poses: CheckPoses) -> str:
@@ -79,7 +81,7 @@ def _causes(c: CheckResult) -> Iterator[str]:
         if finding.probability < _LISTED:
             continue
         name = _name(c, finding)
-        line = f"  P {_probability(finding)}  {name}: {_moved(c, finding)}"
+        line = f"  P {_probability(finding)}  {name}: {_moved(finding)}"
         if finding.code == "joint":
             line += f"; positions by {mm(finding.change)} ± {mm(finding.change_std)} mm"
         yield line
@@ -95,7 +97,11 @@ def _meaning(c: CheckResult) -> Iterator[str]:
             )
         return
     best = c.named[0]
-    allowed, what = (c.expected, "the expected error") if c.tolerance is None else (c.tolerance, "the tolerance")
+    allowed, what = (
+        (c.expected, "the expected error")
+        if c.tolerance is None
+        else (c.tolerance, "the tolerance")
+    )
     compared = "more" if c.matters else "no more"
     yield (
         f"Over the measured joint values it changes positions by {mm(best.change)} ± {mm(best.change_std)} mm rms, "
@@ -147,7 +153,10 @@ def _noticed(c: CheckResult) -> Iterator[str]:
             else:
                 unseen.append(name)
         else:
-            for kind, size, text in (("shift", one.shift, f"{mm(one.shift)} mm"), ("turn", one.turn, f"{deg(one.turn)} deg")):
+            for kind, size, text in (
+                ("shift", one.shift, f"{mm(one.shift)} mm"),
+                ("turn", one.turn, f"{deg(one.turn)} deg"),
+            ):
                 if np.isfinite(size):
                     sizes.append(f"a {kind} of {text}")
                 elif np.isinf(size):
@@ -163,7 +172,7 @@ def _probability(finding: Finding) -> str:
     return f"> {_NEAREST}" if finding.probability > _NEAREST else f"= {finding.probability:.3f}"
 
 
-def _moved(c: CheckResult, finding: Finding) -> str:
+def _moved(finding: Finding) -> str:
     """Say how far something has moved."""
     if finding.code == "joint":
         factor, unit = joint_unit(prismatic=finding.unit == "m")
@@ -180,7 +189,11 @@ def _name(c: CheckResult, one: Finding | Noticed) -> str:
     if one.code == "joint":
         return f"joint '{one.name}'"
     if isinstance(one, Finding) and one.code == "row":
-        return f"image '{one.image}'" if one.image else f"row{'s' * (len(one.rows) > 1)} {row_ranges(one.rows)}"
+        return (
+            f"image '{one.image}'"
+            if one.image
+            else f"row{'s' * (len(one.rows) > 1)} {row_ranges(one.rows)}"
+        )
     if one.code == "other":
         return "all poses differently"
     if one.code == "base":
@@ -193,7 +206,11 @@ def _name(c: CheckResult, one: Finding | Noticed) -> str:
     alone = one.code == "target" or len(result.setup.groups) > 1
     if one.code == "frame":
         what = ("camera" if images else instrument_word(result)) + named
-        return f"the {what}{' in the hand' * carried}" if carried or alone else f"the {what} or the base"
+        return (
+            f"the {what}{' in the hand' * carried}"
+            if carried or alone
+            else f"the {what} or the base"
+        )
     what = ("board" if images else "target") + named
     return f"the {what} or the base" if carried else f"the {what} in the hand"
 
