@@ -1,10 +1,10 @@
-"""Tables with targets that stand still: are drift and steps of the frame found, where, and what is the robot worth then?
+"""Tables with targets that stand still: are drift and steps found, where, and what is the robot worth then?
 
     python scripts/reference_study.py [TABLES] [SEED] [--layout POSES/EVERY/REFERENCES] [--cases WORD]
 
-The frame of a tracker drifts evenly from the first row to the last, or steps at a row anywhere in the middle 80 % of the
-poses; the displacement has any direction. References are read before the first pose, after every few poses and after the
-last. Positions of the robot come from Pinocchio (`verification_truth.py`), all else from NumPy.
+The frame of a tracker drifts evenly from the first row to the last, or steps at a row anywhere in the middle 80 % of
+the poses; the displacement has any direction. References are read before the first pose, after every few poses and
+after the last. Positions of the robot come from Pinocchio (`verification_truth.py`), all else from NumPy.
 
 Printed are how often a movement of the frame is found, how often it is of the right form and no other is, the share of
 steps whose row is within 5 % of the rows of the true one, how often the interval of rows has it, the root mean square

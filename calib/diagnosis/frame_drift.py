@@ -1,4 +1,4 @@
-"""Drift and steps of measurement frames, by targets that stand still: found, taken out of the measurements, and what is left.
+"""Drift and steps of measurement frames, by targets that stand still: found, and taken out of the measurements.
 
 The readings of a reference, and the residuals of the robot's rows of the same station, are the evidence of
 `calib.numerics.frame_path`. What is found of the frame is taken out of the measured poses, which become what they were
@@ -196,8 +196,8 @@ def find_frame_drift(
     unnamed = [name for name in references.targets if links and name not in links]
     if unnamed:
         raise MeasurementError(
-            f"{measurements.source or 'Measurements'}: the cell's [references] say what {choices(links)} are mounted on, "
-            f'and nothing of \'{unnamed[0]}\'. Add {unnamed[0]} = "{WORLD}" or "{BASE}", or leave out all.'
+            f"{measurements.source or 'Measurements'}: the cell's [references] say what {choices(links)} are mounted "
+            f'on, and nothing of \'{unnamed[0]}\'. Add {unnamed[0]} = "{WORLD}" or "{BASE}", or leave out all.'
         )
     poses = None
     if fitted is not None and fitted.estimate.freedom >= FEWEST_FREEDOM:
@@ -253,8 +253,8 @@ def shown_by_references(drift: FrameDrift) -> Iterator[Reason]:
         drift: What was found.
 
     Yields:
-        A reason for each movement; one if there is none. ``left_m`` is what may be left of a drift of a coordinate, as a
-        standard deviation.
+        A reason for each movement; one if there is none. ``left_m`` is what may be left of a drift of a coordinate, as
+        a standard deviation.
     """
     for one in drift.found:
         common = {"mover": one.mover.value, "reference": one.reference, "group": one.group}
@@ -266,7 +266,7 @@ def shown_by_references(drift: FrameDrift) -> Iterator[Reason]:
         elif one.form is Form.DRIFT:
             yield Reason.of(Why.REFERENCES_DRIFT, left_m=drift.left, **common)
         else:
-            between = {"after": one.after_row, "before": one.before_row}
+            between = {"after_row": one.after_row, "before_row": one.before_row}
             yield Reason.of(
                 Why.REFERENCES_STEP, row=one.row, **between, left_m=drift.left, **common
             )
