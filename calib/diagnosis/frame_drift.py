@@ -478,6 +478,7 @@ class _Station:
 
     def possible(self, *, with_poses: bool) -> list[Change]:
         """Return all changes that may be found, those of the frame first."""
+        evidence = self.readings()
         read = self.read_places.astype(np.int_)
         first, last = int(read.min()), int(read.max())
         rows = np.sort(self.row_places[self.is_row].astype(np.int_))
@@ -494,8 +495,13 @@ class _Station:
                 result += [Change(Form.STEP, place, mover, rigid, not rigid) for place in places]
         for k, name in enumerate(self.names):
             mine = np.flatnonzero(self.target_of == k)
-            if len(self.names) > 1 or with_poses:
-                mover = _REFERENCE + name
+            mover = _REFERENCE + name
+            as_frame = [
+                np.array_equal(evidence.moved[mover], evidence.moved[one])
+                for one in self.frame_movers
+            ]
+            # Without poses a reference that is the only one of its kind may as well be the frame.
+            if with_poses or not any(as_frame):
                 result.append(Change(Form.DRIFT, 0, mover))
                 result += [Change(Form.STEP, int(place), mover) for place in sorted(read[mine])[1:]]
             if len(mine) >= _TELLING:
