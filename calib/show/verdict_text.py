@@ -218,8 +218,8 @@ SENTENCES = {
     Why.REFERENCES_DRIFT: "By the references {of_mover} drifted by {moved_m:mm.3f} mm from the first row to the last "
     "({chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per coordinate may be left.",
     Why.REFERENCES_STEP: "By the references {of_mover} moved by {moved_m:mm.3f} mm at row {row} (between the rows "
-    "{after_row} and {before_row}; {chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per coordinate may "
-    "be left.",
+    "{after_row} and {before_row}; {chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per "
+    "coordinate may be left.",
     Why.REFERENCES_STILL: "The references ({readings} readings) show no drift and no step; a drift of {left_m:mm.3f} "
     "mm per coordinate may be left.",
     Why.REFERENCES_TOO_FEW: "The references ({readings} readings) show nothing, because none was measured often "

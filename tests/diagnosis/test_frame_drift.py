@@ -29,7 +29,7 @@ from tests.judged import arm, table_of
 NOISE = 1e-5
 
 
-def with_references(points, displace, *, count=2, every=5, seed=1, groups=None, joints=None):
+def with_references(points, displace, *, count=2, every=5, seed=1, joints=None):
     """A table of poses at points (N, 3) and of targets that stand still, displaced by the row's place and name."""
     rng = np.random.default_rng(seed)
     poses = len(points)
@@ -73,7 +73,7 @@ def random_points(count=30, seed=2):
 BY = np.array([8e-5, -6e-5, 4e-5])
 
 
-def step_of(place, by=BY, who=lambda name: True):
+def step_of(place, by=BY, who=lambda _: True):
     return lambda t, _, name: by * (t >= place and who(name))
 
 
@@ -160,7 +160,7 @@ LINKS = {"floor 1": "world", "floor 2": "base"}
 
 @pytest.mark.parametrize(
     ("who", "mover"),
-    [(lambda name: name != "floor 1", Mover.BASE), (lambda name: True, Mover.INSTRUMENT)],
+    [(lambda name: name != "floor 1", Mover.BASE), (lambda _: True, Mover.INSTRUMENT)],
 )
 def test_links_tell_who_moved(who, mover):
     points = random_points()
