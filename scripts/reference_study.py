@@ -1,10 +1,10 @@
-"""Tables with targets that stand still: are drift and steps of the frame found, where, and what is the robot worth then?
+"""Tables with targets that stand still: are drift and steps found, where, and what is the robot worth then?
 
     python scripts/reference_study.py [TABLES] [SEED] [--layout POSES/EVERY/REFERENCES] [--cases WORD]
 
-The frame of a tracker drifts evenly from the first row to the last, or steps at a row anywhere in the middle 80 % of the
-poses; the displacement has any direction. References are read before the first pose, after every few poses and after the
-last. Positions of the robot come from Pinocchio (`verification_truth.py`), all else from NumPy.
+The frame of a tracker drifts evenly from the first row to the last, or steps at a row anywhere in the middle 80 % of
+the poses; the displacement has any direction. References are read before the first pose, after every few poses and
+after the last. Positions of the robot come from Pinocchio (`verification_truth.py`), all else from NumPy.
 
 Printed are how often a movement of the frame is found, how often it is of the right form and no other is, the share of
 steps whose row is within 5 % of the rows of the true one, how often the interval of rows has it, the root mean square
@@ -27,6 +27,10 @@ from calib.basics.arrays import Array
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.references import References
+from calib.diagnosis.frame_drift import find_frame_drift, without_frame_drift
+from calib.fit.estimate.fitting import fit
+from calib.fit.estimate.task import Task
+from calib.fit.registration.table_rows import rows_and_setup
 from calib.numerics.frame_path import Form
 from calib.numerics.rigid_motion import without_rigid_motion
 from calib.result.calibrate import calibrate
@@ -40,8 +44,8 @@ REPEATABILITY = 20e-6
 #: Fresh poses.
 FRESH = 200
 
-#: One of so many tables is calibrated without its references too.
-COMPARED = 4
+#: One of so many tables is calibrated, with its references and without.
+COMPARED = 5
 
 #: A place is right within this share of the rows.
 NEAR = 0.05
@@ -149,32 +153,37 @@ def make_table(case: Case, seed: int) -> Table:
 
 
 def run_once(case: Case, seed: int) -> Outcome:
-    """Measure a robot, and calibrate it with the references and without."""
+    """Measure a robot, and find what the references show, as a calibration does; some are calibrated as well."""
     table = make_table(case, seed)
-    truth, robot = table.truth, table.truth.nominal
+    truth, robot, measured = table.truth, table.truth.nominal, table.measurements
     cell = Cell(estimate_frame=True)
-    fresh = draw_joint_values(robot, FRESH, np.random.default_rng([48, 5, seed]))
-    true = truth.points(fresh) @ table.T_frame_base[:3, :3].T + table.T_frame_base[:3, 3]
-    tables = [table.measurements]
-    if seed % COMPARED == 0:
-        tables.append(replace(table.measurements, references=None))
-    results = [
-        calibrate(robot, measured, cell=cell, model="dh", validate=False) for measured in tables
-    ]
-    errors = [result.predict(fresh) - true for result in results]
-    arm = [rms_length(without_rigid_motion(true, e[:, :, None])[:, :, 0]) for e in errors]
-    drift = results[0].drift
-    assert drift is not None
+    by_readings = find_frame_drift(measured)
+    assert by_readings is not None
+    corrected = without_frame_drift(measured, by_readings[1])
+    rows, setup = rows_and_setup(robot, corrected, cell)
+    fitted = fit(Task(robot, cell, setup, "dh"), rows)
+    found_by_all = find_frame_drift(measured, None, fitted, by_readings[1])
+    assert found_by_all is not None
+    drift, displaced = found_by_all
+
+    arm, frame = [], []
+    for compared in (measured, replace(measured, references=None)):
+        if seed % COMPARED == 0:
+            result = calibrate(robot, compared, cell=cell, model="dh", validate=False)
+            fresh = draw_joint_values(robot, FRESH, np.random.default_rng([48, 5, seed]))
+            true = truth.points(fresh) @ table.T_frame_base[:3, :3].T + table.T_frame_base[:3, 3]
+            error = result.predict(fresh) - true
+            arm.append(rms_length(without_rigid_motion(true, error[:, :, None])[:, :, 0]))
+            frame.append(rms_length(error))
     form = Form.DRIFT if case.drift else Form.STEP
     right = len(drift.found) == 1 and drift.corrected and drift.found[0].form is form
     near = covered = False
     pull = np.nan
     if right:
         found = drift.found[0]
-        near = abs(found.row - table.row) <= NEAR * len(table.measurements.references.sequence)  # type: ignore[union-attr]
+        near = abs(found.row - table.row) <= NEAR * case.poses
         covered = found.after_row < table.row <= found.before_row
         pull = float(np.sqrt(np.mean(((found.by - table.by) / found.std) ** 2)))
-    taken_out = table.measurements.points - results[0].fit.measurements.points
     return Outcome(
         found=bool(drift.found),
         right=bool(right),
@@ -182,9 +191,9 @@ def run_once(case: Case, seed: int) -> Outcome:
         covered=covered,
         pull=pull,
         said=drift.left,
-        left=float(np.sqrt(np.mean((taken_out - table.displaced) ** 2))),
+        left=float(np.sqrt(np.mean((displaced.points - table.displaced) ** 2))),
         arm=tuple(arm),
-        frame=tuple(rms_length(error) for error in errors),
+        frame=tuple(frame),
     )
 
 

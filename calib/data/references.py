@@ -66,7 +66,7 @@ class References(Value):
             raise MeasurementError(f"References: 'targets' and 'groups' must be {count} names.")
         if len(set(self.sequence)) < len(self.sequence) or not {*self.rows} <= {*self.sequence}:
             raise MeasurementError(
-                "References: 'sequence' must have each row number of the table once, those of the references among them."
+                "References: 'sequence' must have each row number of the table once, also those of the references."
             )
         object.__setattr__(self, "points", read_only(points))
         for name in ("targets", "groups", "rows", "sequence"):
@@ -260,8 +260,8 @@ def _points(table: Table, named: Named) -> Array:
     missing = [name for name in POINT if name not in named]
     if missing:
         raise MeasurementError(
-            f"{table.place}: rows of the set '{REFERENCE}' are measured positions of targets that stand still, and need "
-            f"a column '{missing[0]} [mm]'. {list_columns(table)}"
+            f"{table.place}: rows of the set '{REFERENCE}' are measured positions of targets that stand still, and "
+            f"need a column '{missing[0]} [mm]'. {list_columns(table)}"
         )
     columns = [with_unit(table, named[name], "length") for name in POINT]
     numbers = table.numbers(columns)

@@ -1,4 +1,4 @@
-"""Drift and steps of measurement frames, by targets that stand still: found, taken out of the measurements, and what is left.
+"""Drift and steps of measurement frames, by targets that stand still: found, and taken out of the measurements.
 
 The readings of a reference, and the residuals of the robot's rows of the same station, are the evidence of
 `calib.numerics.frame_path`. What is found of the frame is taken out of the measured poses, which become what they were
@@ -196,8 +196,8 @@ def find_frame_drift(
     unnamed = [name for name in references.targets if links and name not in links]
     if unnamed:
         raise MeasurementError(
-            f"{measurements.source or 'Measurements'}: the cell's [references] say what {choices(links)} are mounted on, "
-            f'and nothing of \'{unnamed[0]}\'. Add {unnamed[0]} = "{WORLD}" or "{BASE}", or leave out all.'
+            f"{measurements.source or 'Measurements'}: the cell's [references] say what {choices(links)} are mounted "
+            f'on, and nothing of \'{unnamed[0]}\'. Add {unnamed[0]} = "{WORLD}" or "{BASE}", or leave out all.'
         )
     poses = None
     if fitted is not None and fitted.estimate.freedom >= FEWEST_FREEDOM:
@@ -253,8 +253,8 @@ def shown_by_references(drift: FrameDrift) -> Iterator[Reason]:
         drift: What was found.
 
     Yields:
-        A reason for each movement; one if there is none. ``left_m`` is what may be left of a drift of a coordinate, as a
-        standard deviation.
+        A reason for each movement; one if there is none. ``left_m`` is what may be left of a drift of a coordinate, as
+        a standard deviation.
     """
     for one in drift.found:
         common = {"mover": one.mover.value, "reference": one.reference, "group": one.group}
@@ -266,7 +266,7 @@ def shown_by_references(drift: FrameDrift) -> Iterator[Reason]:
         elif one.form is Form.DRIFT:
             yield Reason.of(Why.REFERENCES_DRIFT, left_m=drift.left, **common)
         else:
-            between = {"after": one.after_row, "before": one.before_row}
+            between = {"after_row": one.after_row, "before_row": one.before_row}
             yield Reason.of(
                 Why.REFERENCES_STEP, row=one.row, **between, left_m=drift.left, **common
             )
@@ -478,6 +478,7 @@ class _Station:
 
     def possible(self, *, with_poses: bool) -> list[Change]:
         """Return all changes that may be found, those of the frame first."""
+        evidence = self.readings()
         read = self.read_places.astype(np.int_)
         first, last = int(read.min()), int(read.max())
         rows = np.sort(self.row_places[self.is_row].astype(np.int_))
@@ -494,8 +495,13 @@ class _Station:
                 result += [Change(Form.STEP, place, mover, rigid, not rigid) for place in places]
         for k, name in enumerate(self.names):
             mine = np.flatnonzero(self.target_of == k)
-            if len(self.names) > 1 or with_poses:
-                mover = _REFERENCE + name
+            mover = _REFERENCE + name
+            as_frame = [
+                np.array_equal(evidence.moved[mover], evidence.moved[one])
+                for one in self.frame_movers
+            ]
+            # Without poses a reference that is the only one of its kind may as well be the frame.
+            if with_poses or not any(as_frame):
                 result.append(Change(Form.DRIFT, 0, mover))
                 result += [Change(Form.STEP, int(place), mover) for place in sorted(read[mine])[1:]]
             if len(mine) >= _TELLING:

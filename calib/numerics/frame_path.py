@@ -23,6 +23,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -278,17 +279,37 @@ def _new_directions(base: Array, Z: Array) -> tuple[Array, Array]:
     return left * size, np.asarray(vectors[:, values > _CUT])
 
 
-def _explained(source: Evidence, change: Change) -> tuple[float, int, int, float]:
-    """Return the sum of squares that a change explains, its columns, the freedom left, and what is left."""
+class _Effect(NamedTuple):
+    """What a change explains of one source."""
+
+    #: Its columns beyond the regressors, shape (M, c)
+    columns: Array
+    #: The sum of squares that it explains, by so many independent columns; and what is left, of so much freedom
+    square: float
+    independent: int
+    left: float
+    freedom: int
+
+    @property
+    def variance(self) -> float:
+        """Variance of a scalar with the change."""
+        return max(self.left / self.freedom, np.finfo(float).tiny)
+
+
+def _effect(source: Evidence, change: Change) -> _Effect | None:
+    """Return what a change explains of a source; None if that tells nothing of it."""
     Z = source.columns(change)
     if not Z.any():
-        return 0.0, 0, source.freedom, float(np.sum(source.remaining**2))
-    _, basis = _new_directions(source.base, Z)
+        return None
+    left, basis = _new_directions(source.base, Z)
     remaining = source.remaining
     square = float(np.sum((basis.T @ remaining) ** 2))
-    columns = basis.shape[1]
-    left = max(float(remaining @ remaining) - square, 0.0)
-    return square, columns, source.freedom - columns, left
+    independent = basis.shape[1]
+    freedom = source.freedom - independent
+    if not independent or freedom < 1:
+        return None
+    unexplained = max(float(remaining @ remaining) - square, 0.0)
+    return _Effect(left, square, independent, unexplained, freedom)
 
 
 def _gain(sources: Sequence[Evidence], change: Change) -> float:
@@ -296,14 +317,11 @@ def _gain(sources: Sequence[Evidence], change: Change) -> float:
     H, g = np.zeros((change.unknowns, change.unknowns)), np.zeros(change.unknowns)
     count = 0
     for source in sources:
-        _, columns, freedom, left = _explained(source, change)
-        if not columns or freedom < 1:
-            continue
-        variance = max(left / freedom, np.finfo(float).tiny)
-        Z, _ = _new_directions(source.base, source.columns(change))
-        H += Z.T @ Z / variance
-        g += Z.T @ source.remaining / variance
-        count += len(source.residual)
+        effect = _effect(source, change)
+        if effect is not None:
+            H += effect.columns.T @ effect.columns / effect.variance
+            g += effect.columns.T @ source.remaining / effect.variance
+            count += len(source.residual)
     if not H.any():
         return 0.0
     theta, *_ = np.linalg.lstsq(H, g, rcond=_CUT)
@@ -318,12 +336,12 @@ def _p_value(sources: Sequence[Evidence], change: Change, possible: Sequence[Cha
     """
     p = []
     for source in sources:
-        square, columns, freedom, left = _explained(source, change)
-        if columns and freedom >= 1:
-            F = square / columns / max(left / freedom, np.finfo(float).tiny)
-            p.append(float(fdtrc(columns, freedom, F)))
-        else:
+        effect = _effect(source, change)
+        if effect is None:
             p.append(1.0)
+        else:
+            F = effect.square / effect.independent / effect.variance
+            p.append(float(fdtrc(effect.independent, effect.freedom, F)))
     by_readings = p[0]
     family = [one for one in possible if one.family == change.family]
     families = len({one.family for one in possible})

@@ -218,16 +218,16 @@ SENTENCES = {
     Why.REFERENCES_DRIFT: "By the references {of_mover} drifted by {moved_m:mm.3f} mm from the first row to the last "
     "({chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per coordinate may be left.",
     Why.REFERENCES_STEP: "By the references {of_mover} moved by {moved_m:mm.3f} mm at row {row} (between the rows "
-    "{after} and {before}; {chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per coordinate may "
-    "be left.",
-    Why.REFERENCES_STILL: "The references ({readings} readings) show no drift and no step; a drift of {left_m:mm.3f} mm "
-    "per coordinate may be left.",
-    Why.REFERENCES_TOO_FEW: "The references ({readings} readings) show nothing, because none was measured often enough: "
-    "measure each before, between and after the poses.",
+    "{after_row} and {before_row}; {chance_p}). It was taken out of the measured poses; {left_m:mm.3f} mm per "
+    "coordinate may be left.",
+    Why.REFERENCES_STILL: "The references ({readings} readings) show no drift and no step; a drift of {left_m:mm.3f} "
+    "mm per coordinate may be left.",
+    Why.REFERENCES_TOO_FEW: "The references ({readings} readings) show nothing, because none was measured often "
+    "enough: measure each before, between and after the poses.",
     Why.REFERENCE_MOVED: "The reference '{reference}' does not stand still: by itself it moved by {moved_m:mm.3f} mm"
     "{from_row} ({chance_p}). The measured poses were left as they are. Is it loose?",
-    Why.REFERENCE_MISREAD: "The reading of the reference '{reference}' in row {row} is {moved_m:mm.3f} mm off the others "
-    "({chance_p}), and was not used.",
+    Why.REFERENCE_MISREAD: "The reading of the reference '{reference}' in row {row} is {moved_m:mm.3f} mm off the "
+    "others ({chance_p}), and was not used.",
     Why.SIGMA_UNLIKELY: "The stated noise is {before} per coordinate, that of the residuals {after}. The "
     "latter is believed: are the unit and the value of the stated one right?",
     Why.JOINTS_COARSE: "The values of '{joint}' are multiples of {beyond}, and rounding explains "

@@ -106,6 +106,30 @@ class MovedTarget(Value):
         return moved
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameStep(Value):
+    """A measurement frame that is displaced from some row on, as if someone had hit the instrument's stand."""
+
+    #: Number of the first row of a pose, from 1, that is displaced.
+    row: int
+    #: Shape (3,), displacement of what is measured, along the measurement frame's axes [m].
+    by: Array
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the displacement."""
+        object.__setattr__(self, "by", read_only(self.by))
+
+
+@dataclass(frozen=True, slots=True)
+class StandingTargets:
+    """Targets that stand still, and are read before the first stop of the robot, between stops, and after the last."""
+
+    #: Number of targets; 0: none.
+    count: int = 0
+    #: Number of stops between two readings.
+    every: int = 5
+
+
 @dataclass(frozen=True, slots=True)
 class Encoder:
     """Steps in which joint values are read: the robot stops within half a step of its command, and the step is read."""

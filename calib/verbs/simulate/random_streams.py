@@ -33,6 +33,9 @@ STREAMS = (
     "views",
     "validation views",
     "pictures",
+    # Of targets that stand still.
+    "references",
+    "reference noise",
 )
 
 

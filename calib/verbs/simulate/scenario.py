@@ -34,6 +34,7 @@ from calib.data.columns import DEFAULT_TARGET, SETS
 from calib.data.inputs import ROBOT, RobotInput, cell_of, robot_of
 from calib.data.kinds import Kind
 from calib.data.measurements import Measurements
+from calib.data.references import References
 from calib.errors import CalibError, ModelError, choices
 from calib.instruments.camera import camera_and_board_places
 from calib.instruments.instrument import Sightline
@@ -43,7 +44,13 @@ from calib.numerics.geometry import vector
 from calib.numerics.moves import last_moves
 from calib.robot.ranges import joint_ranges
 from calib.robot.robot import Robot
-from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.disturbances import (
+    Encoder,
+    FrameStep,
+    MovedTarget,
+    Outliers,
+    StandingTargets,
+)
 from calib.verbs.simulate.equipment import Equipment, draw_equipment
 from calib.verbs.simulate.mounting import draw_scene
 from calib.verbs.simulate.random_streams import stream
@@ -75,6 +82,8 @@ _TYPES = (
     ("encoder", Encoder, "an Encoder"),
     ("outliers", (Outliers, type(None)), "Outliers, or None"),
     ("moved", (MovedTarget, type(None)), "a MovedTarget, or None"),
+    ("step", (FrameStep, type(None)), "a FrameStep, or None"),
+    ("standing", StandingTargets, "StandingTargets"),
     ("true_robot", (Robot, type(None)), "a Robot, or None"),
 )
 
@@ -115,6 +124,10 @@ class Scenario(Value):
     #: shape (3,), drift of the instrument, or of the base, from the first row to the last, along the measurement
     #: frame's axes, linear in the row [m]
     drift: Array = field(default_factory=lambda: np.zeros(3))
+    #: A step of the instrument, or of the base; None: none
+    step: FrameStep | None = None
+    #: Targets that stand still
+    standing: StandingTargets = field(default_factory=StandingTargets)
     #: Number of tours of all poses
     visits: int = 1
 
@@ -150,6 +163,13 @@ class Scenario(Value):
                 f"{choices(able)}."
             )
         object.__setattr__(self, "drift", vector(self.drift, "drift"))
+        check_whole("standing.count", self.standing.count, 0)
+        check_whole("standing.every", self.standing.every, 1)
+        if self.standing.count and not self.kind.position:
+            raise CalibError(
+                f"Targets that stand still are measured as positions, and the kind '{self.kind.name}' has none; leave "
+                "out 'references' of [simulation]."
+            )
         if self.noise is USUAL_NOISE:
             object.__setattr__(self, "noise", noise_of_lengths(self.cell))
         if self.noise is not None:
@@ -213,6 +233,7 @@ class Scenario(Value):
             "visits": self.visits > 1,
             "moved_row": self.moved is not None,
             "drift_mm": bool(self.drift.any()),
+            "step_mm": self.step is not None,
         }
         given = [name for name, is_there in is_given.items() if is_there]
         if given:
@@ -305,6 +326,8 @@ class Simulated(Value):
     seed: int
     #: The pictures whose corners are the rows; None: another instrument
     pictures: Pictures | None = None
+    #: Shape (J, 3), true positions of the targets that stand still in the measurement frame [m]
+    standing: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __repr__(self) -> str:
         """Return one line: the measurements and the seed."""
@@ -443,7 +466,7 @@ class VirtualCell(Value):
 
         # The robot's repeatability displaces all targets of one stop alike, those of each chain by its own.
         repeatability = 0.0 if scenario.noise is None else scenario.noise.repeatability
-        drift = np.linspace(0.0, 1.0, len(T))[:, None] * scenario.drift
+        drift = self._drift(np.arange(len(T), dtype=np.float64), len(T))
         shape = (len(robot.chains), len(tour.route), 3)
         unit_normal = stream(seed, "robot noise").standard_normal(shape)
         displaced = T.copy()
@@ -452,7 +475,9 @@ class VirtualCell(Value):
         rows = self.reader.read(Stops(tour, read_q, true_q, T, displaced), seed)
         stop, found_moved = tour.stop[rows.view], moved[rows.view]
         found_moved.setflags(write=False)
+        standing, references = self._references(T, tour, seed)
         measurements = Measurements(
+            references=references,
             joint_names=robot.joint_names,
             joints=read_q[stop],
             sets=tuple(tour.sets[i] for i in rows.view),
@@ -469,9 +494,69 @@ class VirtualCell(Value):
             outliers=read_only(rows.outliers),
             moved=found_moved,
             seed=int(seed),
+            standing=standing,
             pictures=None
             if rows.pictures is None
             else replace(rows.pictures, moves=None if moves is None else moves[tour.stop]),
+        )
+
+    def _drift(self, places: Array, rows: int) -> Array:
+        """Return the displacement of the frame at places among so many rows, from 0, shape (n, 3) [m].
+
+        A place between two whole numbers is that of a target that stands still, read between two rows.
+        """
+        scenario = self.scenario
+        share = np.clip(places * (1.0 / max(rows - 1, 1)), 0.0, 1.0)
+        drift = share[:, None] * scenario.drift
+        if scenario.step is not None:
+            if not 1 <= scenario.step.row <= rows:
+                raise CalibError(
+                    f"The frame is to move before row {scenario.step.row}; there are the rows 1 to {rows}."
+                )
+            drift = drift + (places >= scenario.step.row - 1)[:, None] * scenario.step.by
+        return np.asarray(drift)
+
+    def _references(self, T: Array, tour: Tour, seed: int) -> tuple[Array, References | None]:
+        """Read the targets that stand still between the stops of a tour; T, (R, 4, 4), are the true poses there [m].
+
+        Returned are their true positions, (J, 3) [m], and the readings; None if there are none. They stand about where
+        the robot's targets are, and are numbered after the R rows.
+        """
+        scenario, count = self.scenario, self.scenario.standing.count
+        if not count:
+            return np.zeros((0, 3)), None
+        if len(self.truth.groups) > 1:
+            raise CalibError(
+                "Targets that stand still are simulated with one station; leave out 'references' of [simulation]."
+            )
+        points = T[:, :3, 3]
+        spread = stream(seed, "references").uniform(-1.0, 1.0, (count, 3))
+        true = points.mean(axis=0) + spread * np.ptp(points, axis=0)
+        rows, stops = len(T), len(tour.route)
+        visited = [*range(0, stops, scenario.standing.every), stops]
+        first = np.searchsorted(tour.stop, visited)  # the row after each visit
+        before = np.repeat(first, count)
+        readings = np.tile(true, (len(visited), 1))
+        if scenario.noise is not None:
+            tracker = np.zeros(3)
+            if scenario.tracker is not None:
+                T_frame_base = self.truth.T_frame_base[0]
+                tracker = T_frame_base[:3, :3] @ scenario.tracker + T_frame_base[:3, 3]
+            distance = np.linalg.norm(readings - tracker, axis=1)
+            std = scenario.noise.constant + scenario.noise.per_length * distance
+            normal = stream(seed, "reference noise").standard_normal(readings.shape)
+            readings = readings + std[:, None] * normal
+        readings = readings + self._drift(before - 0.5, rows)
+        numbers = np.arange(rows + 1, rows + 1 + len(readings))
+        # A visit is before the row of its place.
+        places = np.concatenate([np.arange(rows, dtype=np.float64), before - 0.5])
+        order = np.argsort(places, kind="stable")
+        return true, References(
+            points=readings,
+            targets=tuple(f"reference {k + 1}" for k in range(count)) * len(visited),
+            groups=self.truth.groups * len(readings),
+            rows=tuple(numbers.tolist()),
+            sequence=tuple(np.concatenate([np.arange(1, rows + 1), numbers])[order].tolist()),
         )
 
 

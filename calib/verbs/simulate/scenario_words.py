@@ -25,7 +25,13 @@ from calib.model.families import FAMILIES, unit_of
 from calib.model.parameter_sets import error_model
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
-from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.disturbances import (
+    Encoder,
+    FrameStep,
+    MovedTarget,
+    Outliers,
+    StandingTargets,
+)
 from calib.verbs.simulate.scenario import DEFAULT_MODEL, Scenario
 from calib.verbs.simulate.truth import TARGET_ERROR
 
@@ -54,6 +60,30 @@ class Disturbances:
         "Drift of the instrument from the first to the last row, in the measurement frame.",
         default_factory=lambda: np.zeros(3),
         absent="none",
+    )
+    step_row: float | None = key(
+        "step_row",
+        NUMBER,
+        "First row that finds the measurement frame displaced.",
+        default=None,
+    )
+    step_by: Array | None = key(
+        "step_mm",
+        POINT_MM,
+        "Displacement of what is measured from that row on, in the measurement frame.",
+        default=None,
+    )
+    references: float = key(
+        "references",
+        NUMBER,
+        "Number of targets that stand still, as rows of the set `reference`.",
+        default=0,
+    )
+    references_every: float = key(
+        "references_every",
+        NUMBER,
+        "Number of stops of the robot between two readings of them.",
+        default=StandingTargets().every,
     )
     moved_row: float | None = key(
         "moved_row", NUMBER, "First row that finds the target displaced.", default=None
@@ -186,6 +216,13 @@ def read_scenario(
         first_row = 1 if disturbances.moved_row is None else int(disturbances.moved_row)
         by = np.zeros(3) if disturbances.moved_by is None else disturbances.moved_by
         moved = MovedTarget(first_row, by, disturbances.moved_target)
+    step = None
+    if disturbances.step_row is not None or disturbances.step_by is not None:
+        if disturbances.step_row is None or disturbances.step_by is None:
+            raise CalibError(
+                f"[simulation] of {path} has one of step_row and step_mm; a step of the frame needs both."
+            )
+        step = FrameStep(int(disturbances.step_row), disturbances.step_by)
     return Scenario(
         robot=robot,
         cell=cell,
@@ -200,6 +237,8 @@ def read_scenario(
         outliers=outliers,
         moved=moved,
         drift=disturbances.drift,
+        step=step,
+        standing=StandingTargets(int(disturbances.references), int(disturbances.references_every)),
         visits=int(disturbances.visits),
     )
 

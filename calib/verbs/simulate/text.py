@@ -171,6 +171,14 @@ def _tracker_facts(scenario: Scenario, simulated: Simulated) -> Iterator[tuple[s
         yield "Moved target", f"{who} by {by}: {int(simulated.moved.sum())} rows"
     if scenario.drift.any():
         yield "Drift, first to last row", f"{point_mm(scenario.drift)} mm in the measurement frame"
+    if scenario.step is not None:
+        by = f"{point_mm(scenario.step.by)} mm in the measurement frame"
+        yield "Step of the frame", f"{by} before row {scenario.step.row}"
+    references = simulated.measurements.references
+    if references is not None:
+        stops = f"every {plural(scenario.standing.every, 'stop')}"
+        count = plural(len(simulated.standing), "target")
+        yield "Targets that stand still", f"{count}, read {stops}: {len(references)} readings"
 
 
 def _picture_facts(

@@ -134,6 +134,7 @@ def _pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
 def _tracker_tables(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
     """Return the tables ``instrument``, ``events`` and ``rows`` of a tracker's truth file, in SI units."""
     noise, moved, table = scenario.noise, scenario.moved, simulated.measurements
+    step = scenario.step
     outliers = [
         {"row": table.rows[i], "displacement_m": simulated.outliers[i]}
         for i in np.flatnonzero(simulated.outliers.any(axis=1))
@@ -162,7 +163,16 @@ def _tracker_tables(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
             "encoder_step_m": scenario.encoder.length,
             "visits": scenario.visits,
         },
-        "events": {"outliers": outliers, "moved_target": moved_target, "drift_m": scenario.drift},
+        "events": {
+            "outliers": outliers,
+            "moved_target": moved_target,
+            "drift_m": scenario.drift,
+            "step": step and {"from_row": step.row, "displacement_m": step.by},
+        },
+        "references": [
+            {"target": f"reference {k}", "xyz_m": xyz}
+            for k, xyz in enumerate(simulated.standing, start=1)
+        ],
         "rows": [dict(zip(_ROW, row, strict=True)) for row in rows],
     }
 

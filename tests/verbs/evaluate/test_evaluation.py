@@ -19,6 +19,8 @@ from calib.robot.robot import Robot
 from calib.verbs.evaluate.acceptance import assess
 from calib.verbs.evaluate.accuracy import accuracy
 from calib.verbs.evaluate.evaluation import ImageFigures, _not_given, evaluate, moved_place
+from calib.verbs.simulate.disturbances import FrameStep, StandingTargets
+from calib.verbs.simulate.scenario import Scenario, simulate
 from tests import images
 from tests.fits import FREE, TARGETS, TRACKERS
 
@@ -265,3 +267,23 @@ def test_two_images_of_one_pose_are_two():
     assert figures.largest_at_board == pytest.approx(5e-3)
     unnamed = ImageFigures.of(residual, np.full(len(m), 1e-3), rows, ("",) * len(m))
     assert unnamed.images == 2
+
+
+def test_what_references_show_is_taken_out(ur3):
+    scenario = Scenario(
+        ur3,
+        sizes=None,
+        target_error=0.0,
+        step=FrameStep(12, np.array([0.0, 1e-3, 0.0])),
+        standing=StandingTargets(3, 5),
+    )
+    measured = simulate(scenario, 20, 0, seed=1).measurements
+    cell = Cell(target=np.array([0.05, 0.05, 0.05]), estimate_target=False)
+    found = evaluate(ur3, measured, cell)
+    (step,) = found.drift.found
+    np.testing.assert_allclose(step.by, [0.0, 1e-3, 0.0], atol=1e-4)
+    taken_out = measured.points - found.measurements.points
+    np.testing.assert_allclose(taken_out[-1], step.by, atol=1e-12)
+    assert not taken_out[:9].any()
+    assert np.abs(found.residual[15:]).max() < 3e-4
+    assert evaluate(ur3, replace(measured, references=None), cell).drift is None

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.verbs.inspect.inspection import inspect
+from calib.verbs.simulate.disturbances import FrameStep, StandingTargets
+from calib.verbs.simulate.scenario import Scenario, simulate
 from tests import images
 from tests.fits import place
 
@@ -82,3 +86,17 @@ def test_of_images_single_corners_are_left_out():
     assert {"fx", "k3", "board_scale_x", "board_sag_y"} < set(names)
     # The first zero is the camera's mount, the last one the board's place.
     assert found.observability.rank == len(names) - 2
+
+
+def test_references_of_a_table(ur3):
+    scenario = Scenario(
+        ur3, step=FrameStep(12, np.array([0.0, 5e-4, 0.0])), standing=StandingTargets(3, 5)
+    )
+    measured = simulate(scenario, 20, 0, seed=1).measurements
+    drift = inspect(ur3, Cell(), measured).drift
+    assert [one.readings for one in drift.targets] == [5, 5, 5]
+    (step,) = drift.found
+    np.testing.assert_allclose(step.by, [0.0, 5e-4, 0.0], atol=1e-4)
+    # Rows of poses are 1 to 20; the readings before row 11 and row 16 have the numbers 29 and 30.
+    assert (step.after_row, step.before_row) == (29, 30)
+    assert inspect(ur3, Cell(), replace(measured, references=None)).drift is None

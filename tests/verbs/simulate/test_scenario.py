@@ -14,7 +14,13 @@ from calib.errors import ArgumentError, CalibError, ModelError
 from calib.instruments.tracker import noise_of_lengths
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import column_ranges, random_joint_values
-from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.disturbances import (
+    Encoder,
+    FrameStep,
+    MovedTarget,
+    Outliers,
+    StandingTargets,
+)
 from calib.verbs.simulate.scenario import DEFAULT_TRACKER, Scenario, simulate
 from calib.verbs.simulate.scenario_words import read_scenario
 from calib.verbs.simulate.truth import draw_truth, tracker_pose
@@ -335,3 +341,36 @@ def test_the_moves_before_poses_may_be_stated(ur3):
     np.testing.assert_allclose(made.points[:4], expected[:, :3, 3], atol=1e-9)
     with pytest.raises(ModelError, match="one row for each"):
         simulate(scenario, poses=q, moves=moves[:3])
+
+
+def test_targets_that_stand_still_drift_and_step_with_the_frame(ur3):
+    by, drift = np.array([0.0, 2e-4, 0.0]), np.array([1e-3, 0.0, 0.0])
+    still = Scenario(ur3, standing=StandingTargets(2, 4), noise=None)
+    plain = simulate(still, 10, 0, seed=3)
+    assert plain.measurements.references.sequence == (
+        *(11, 12, 1, 2, 3, 4),
+        *(13, 14, 5, 6, 7, 8),
+        *(15, 16, 9, 10, 17, 18),
+    )
+    np.testing.assert_allclose(plain.measurements.references.points[::2] - plain.standing[0], 0.0)
+    moved = simulate(replace(still, drift=drift, step=FrameStep(5, by)), 10, 0, seed=3)
+    np.testing.assert_array_equal(moved.standing, plain.standing)
+    of_poses = moved.measurements.points - plain.measurements.points
+    share = np.arange(10)[:, None] / 9.0
+    stepped = np.arange(10)[:, None] >= 4
+    np.testing.assert_allclose(of_poses, share * drift + stepped * by, atol=1e-15)
+    readings = moved.measurements.references.points - plain.measurements.references.points
+    # Before row 1, between rows 4 and 5, between 8 and 9, and after row 10; the frame steps at row 5.
+    expected = [[0.0, 0.0], [3.5 / 9.0, 0.0], [7.5 / 9.0, 1.0], [1.0, 1.0]]
+    expected = np.array(expected) @ np.array([drift, by])
+    np.testing.assert_allclose(readings, np.repeat(expected, 2, axis=0), atol=1e-15)
+
+
+def test_targets_that_stand_still_are_refused_where_none_can_be(ur3):
+    with pytest.raises(CalibError, match="distance"):
+        Scenario(ur3, Cell(kind="distance"), standing=StandingTargets(1))
+    stations = Cell(frames={"a": np.eye(4), "b": np.eye(4)})
+    with pytest.raises(CalibError, match="one station"):
+        simulate(Scenario(ur3, stations, standing=StandingTargets(1)), 4, 0)
+    with pytest.raises(CalibError, match="rows 1 to 4"):
+        simulate(Scenario(ur3, step=FrameStep(5, np.zeros(3))), 4, 0)

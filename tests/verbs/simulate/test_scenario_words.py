@@ -68,6 +68,7 @@ def test_every_key_of_the_table(ur3, tmp_path):
     path.write_text(
         "[simulation]\nvisits = 3\nencoder_deg = 0.001\nencoder_mm = 0.01\n"
         "outlier_size_mm = 8\ndrift_mm = [0, 0, 0.1]\nmoved_row = 4\nmoved_mm = [1, 0, 0]\nmoved_target = 't'\n"
+        "step_row = 7\nstep_mm = [0, 0.2, 0]\nreferences = 2\nreferences_every = 6\n"
     )
     assert all(row.name in path.read_text() for _, row in keys_of(Disturbances))
     made = read_scenario(
@@ -78,6 +79,11 @@ def test_every_key_of_the_table(ur3, tmp_path):
     assert made.outliers == Outliers(count=2, size=8e-3)
     assert made.drift.tolist() == [0.0, 0.0, 1e-4]
     assert (made.moved.row, made.moved.by.tolist(), made.moved.target) == (4, [1e-3, 0, 0], "t")
+    assert (made.step.row, made.step.by.tolist()) == (7, [0.0, 2e-4, 0.0])
+    assert astuple(made.standing) == (2, 6)
+    path.write_text("[simulation]\nstep_row = 7\n")
+    with pytest.raises(CalibError, match="step_mm"):
+        read_scenario(ur3, CELL, path)
     for wrong in ("drift_mm = 1", "visit = 2", "visits = 'two'"):
         path.write_text(f"[simulation]\n{wrong}\n")
         with pytest.raises(CalibError, match=r"in \[simulation\]"):
