@@ -251,6 +251,7 @@ HERE = (
     "quick-start.md",
     "result-json.md",
     "acceptance.md",
+    "certificate.md",
     "convert.md",
     "zeros.md",
     "workspace.md",
