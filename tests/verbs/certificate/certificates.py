@@ -43,6 +43,9 @@ RECORD = Record(
     note="Robot on its own base",
 )
 
+#: Noise of a coordinate [m] and about an axis [rad]: the calibration's rows had no orientations.
+SIGMA = {"m": 2e-5, "rad": 1e-4}
+
 #: Tolerance, and the largest deviation of such robots, [m].
 LIMITS: dict[str, Any] = {"tolerance": {"m": 5e-4}, "prior": {"m": (3e-4, 1e-4)}}
 

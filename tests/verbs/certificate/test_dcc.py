@@ -21,7 +21,7 @@ from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.certificate.certificate import Certificate
 from calib.verbs.certificate.dcc import dcc_bytes
-from tests.verbs.certificate.certificates import LIMITS, RECORD, fresh_rows, own
+from tests.verbs.certificate.certificates import LIMITS, RECORD, SIGMA, fresh_rows, own
 
 SPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 
@@ -33,7 +33,7 @@ def certificates(
     return {
         "own": own(ur3, table, default_result, **LIMITS),
         "stated": own(ur3, table, default_result, uncertainty={"m": 5e-5}, tolerance={"m": 5e-4}),
-        "fresh": own(ur3, fresh_rows(default_result, 3), default_result),
+        "fresh": own(ur3, fresh_rows(default_result, 3), default_result, sigma=SIGMA),
     }
 
 

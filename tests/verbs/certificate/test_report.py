@@ -18,7 +18,7 @@ from calib.verbs.certificate.certificate import Certificate
 from calib.verbs.certificate.report import page, summary, write_report
 from calib.verbs.certificate.text import with_uncertainty
 from tests.show.pages import FULL_RECORD, Page
-from tests.verbs.certificate.certificates import LIMITS, RECORD, fresh_rows, own
+from tests.verbs.certificate.certificates import LIMITS, RECORD, SIGMA, fresh_rows, own
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_the_text_has_the_outcome_first_and_fits_a_terminal(paper: Certificate):
 
 
 def test_both_units_have_a_table(ur3: Robot, default_result: Calibration):
-    c = own(ur3, fresh_rows(default_result, 3), default_result)
+    c = own(ur3, fresh_rows(default_result, 3), default_result, sigma=SIGMA)
     shown = page_of(c)
     assert len(shown.table("Deviations of the position")) == 9
     assert len(shown.table("Deviations of the orientation")) == 9

@@ -13,7 +13,7 @@ from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.certificate.certificate import Certificate
 from calib.verbs.certificate.untested import Untested
-from tests.verbs.certificate.certificates import RECORD, fresh_rows, own
+from tests.verbs.certificate.certificates import RECORD, SIGMA, fresh_rows, own
 
 U = Untested
 
@@ -58,11 +58,15 @@ def test_what_the_record_does_not_state(
 
 def test_repeats_approaches_and_orientations_of_fresh_rows(ur3: Robot, default_result: Calibration):
     once = fresh_rows(default_result)
-    assert codes(own(ur3, once, default_result)) >= {U.REPEATS, U.APPROACHES, U.DRIFT}
-    assert U.ORIENTATIONS not in codes(own(ur3, once, default_result))
+    assert codes(own(ur3, once, default_result, sigma=SIGMA)) >= {U.REPEATS, U.APPROACHES, U.DRIFT}
+    assert U.ORIENTATIONS not in codes(own(ur3, once, default_result, sigma=SIGMA))
     often = fresh_rows(default_result, 20)
     often = replace(often, approaches=tuple("xy"[k % 2] for k in range(len(often))))
-    assert not codes(own(ur3, often, default_result)) & {U.REPEATS, U.APPROACHES, U.DRIFT}
+    assert not codes(own(ur3, often, default_result, sigma=SIGMA)) & {
+        U.REPEATS,
+        U.APPROACHES,
+        U.DRIFT,
+    }
 
 
 def test_few_points_and_joints_that_stand_still(ur3: Robot, default_result: Calibration):
@@ -71,9 +75,9 @@ def test_few_points_and_joints_that_stand_still(ur3: Robot, default_result: Cali
     q[:, 3] = q[0, 3]
     T = default_result.predict_poses(q)
     still = replace(rows, joints=q, points=T[:, :3, 3], rotations=T[:, :3, :3], moves=None)
-    c = own(ur3, still, default_result)
+    c = own(ur3, still, default_result, sigma=SIGMA)
     assert values(c, U.STILL_JOINTS) == {"joints": (ur3.joint_names[3],)}
-    few = own(ur3, still.select(np.arange(3)), default_result)
+    few = own(ur3, still.select(np.arange(8) < 3), default_result, sigma=SIGMA)
     assert values(few, U.FEW_POINTS) == {"points": 3, "wanted": 5}
     assert U.FEW_POINTS not in codes(c)
 
@@ -83,6 +87,6 @@ def test_a_frame_registered_to_the_rows_is_said(ur3: Robot, default_result: Cali
     from calib.data.cell import Cell
 
     rows = fresh_rows(default_result)
-    cell = Cell(estimate_frame=True, record=RECORD)
+    cell = Cell(estimate_frame=True, record=RECORD, sigma=SIGMA)
     c = calib.certificate(ur3, rows, calibration=default_result, cell=cell)
     assert (U.REGISTERED in codes(c)) == bool(c.assessment.accuracies["calibration"].registered)
