@@ -61,7 +61,7 @@ def fresh_rows(result: Calibration, repeats: int = 1, noise: float = 1e-5) -> Me
     random = np.random.default_rng(5)
     low, high = result.rows.ranges.T
     q = np.repeat(random.uniform(low, high, size=(8, 6)), repeats, axis=0)
-    T = result.predict_poses(q)
+    T = result.predict_poses(q, non_geometric=False)
     T[:, 0, 3] += np.repeat(np.linspace(1e-4, 2e-4, 8), repeats)
     T[:, :3, 3] += noise * random.normal(size=(len(q), 3))
     return Measurements(

@@ -73,7 +73,7 @@ def test_few_points_and_joints_that_stand_still(ur3: Robot, default_result: Cali
     rows = fresh_rows(default_result)
     q = rows.joints.copy()
     q[:, 3] = q[0, 3]
-    T = default_result.predict_poses(q)
+    T = default_result.predict_poses(q, non_geometric=False)
     still = replace(rows, joints=q, points=T[:, :3, 3], rotations=T[:, :3, :3], moves=None)
     c = own(ur3, still, default_result, sigma=SIGMA)
     assert values(c, U.STILL_JOINTS) == {"joints": (ur3.joint_names[3],)}
