@@ -56,8 +56,13 @@ def own(ur3: Robot, table: Measurements, result: Calibration, **given: Any) -> C
     return calib.certificate(ur3, table, calibration=result, cell=cell, **given)
 
 
-def fresh_rows(result: Calibration, repeats: int = 1, noise: float = 1e-5) -> Measurements:
-    """Eight poses within the calibrated ranges, off by 0.1 to 0.2 mm along x of the frame, positions and turns."""
+def fresh_rows(
+    result: Calibration, repeats: int = 1, noise: float = 1e-5, *, kind: str = "pose"
+) -> Measurements:
+    """Eight poses within the calibrated ranges, off by 0.1 to 0.2 mm along x of the frame.
+
+    Of poses the target's turn is registered to the rows, and with it its position.
+    """
     random = np.random.default_rng(5)
     low, high = result.rows.ranges.T
     q = np.repeat(random.uniform(low, high, size=(8, 6)), repeats, axis=0)
@@ -68,7 +73,7 @@ def fresh_rows(result: Calibration, repeats: int = 1, noise: float = 1e-5) -> Me
         result.nominal.joint_names,
         q,
         T[:, :3, 3],
-        rotations=T[:, :3, :3],
-        kinds=("pose",) * len(q),
+        rotations=T[:, :3, :3] if kind == "pose" else None,
+        kinds=(kind,) * len(q),
         source="fresh.csv",
     )

@@ -71,8 +71,14 @@ def test_fresh_rows_and_the_calibrations_own(
     assert not own(ur3, table, default_result).is_fresh
     assert fresh.units == ("m", "rad")
     assert len(fresh.points) == 8
-    left = [one.left for one in fresh.of("m")]
+    rows = fresh_rows(default_result, kind="point")
+    points = own(ur3, rows, default_result, sigma=SIGMA)
+    assert points.units == ("m",)
+    left = [one.left for one in points.of("m")]
     np.testing.assert_allclose(left, np.linspace(1e-4, 2e-4, 8), atol=4e-5)
+    # The target was registered to the poses: a smaller deviation counts more.
+    assert points.assessment.accuracies["calibration"].factor == 1.0
+    assert fresh.assessment.accuracies["calibration"].factor > 1.0
     assert fresh.outcome is None
     assert not fresh.decisions
 
