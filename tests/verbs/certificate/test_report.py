@@ -10,6 +10,7 @@ import pytest
 
 from calib.data.measurements import Measurements
 from calib.data.record import FOR_CERTIFICATES, Record
+from calib.diagnosis.reasons import NO, Verdict
 from calib.errors import FileError
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
@@ -17,6 +18,7 @@ from calib.show.as_html import page_bytes
 from calib.verbs.certificate.certificate import Certificate
 from calib.verbs.certificate.report import page, summary, write_report
 from calib.verbs.certificate.text import with_uncertainty
+from tests.parts import with_part
 from tests.show.pages import FULL_RECORD, Page
 from tests.verbs.certificate.certificates import LIMITS, RECORD, SIGMA, fresh_rows, own
 
@@ -93,6 +95,14 @@ def test_the_text_has_the_outcome_first_and_fits_a_terminal(paper: Certificate):
     without = replace(paper.assessment, accepted=None)
     undecided = summary(replace(paper, decisions={}, assessment=without))
     assert undecided.startswith("Verdict: none")
+
+
+def test_a_verdict_against_the_calibration_is_said_at_once(paper: Certificate):
+    said = "do not use"
+    assert said not in summary(paper).partition("Deviations")[0]
+    against = with_part(paper.calibration, "geometry", verdict=Verdict(NO, ()))
+    text = summary(replace(paper, calibration=against)).partition("Deviations")[0]
+    assert said in text
 
 
 def test_both_units_have_a_table(ur3: Robot, default_result: Calibration):
