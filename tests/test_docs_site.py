@@ -252,6 +252,7 @@ HERE = (
     "result-json.md",
     "acceptance.md",
     "uncertainty.md",
+    "certificate.md",
     "convert.md",
     "zeros.md",
     "workspace.md",

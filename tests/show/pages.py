@@ -13,8 +13,9 @@ EMPTY = {"meta", "img"}
 #: A record whose entries are as long as they may be, of words and of a single one.
 FULL_RECORD = Record(
     **{name: "word " * (LONGEST // 5) if k % 2 else "x" * LONGEST for k, name in enumerate(TEXTS)}
-    | {"note": "note " * (LONGEST_NOTE // 5)},
+    | {"note": "note " * (LONGEST_NOTE // 5), "country": "DE"},
     temperature_C=(-10.04, 30.0),
+    humidity_percent=(0.5, 100.0),
 )
 
 

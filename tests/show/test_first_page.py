@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from calib.data.record import TEXTS, Record
+from calib.data.record import FOR_CERTIFICATES, TEXTS, Record
 from calib.diagnosis.reasons import CARE, NO, USE
 from calib.robot.robot import Robot
 from calib.show.blocks import Verdict
@@ -36,13 +36,22 @@ def with_reasons(first: FirstPage, *reasons: str) -> FirstPage:
 
 
 def test_every_entry_of_a_record_has_its_line(first: FirstPage):
-    record = Record(**{name: f"the {name}" for name in TEXTS}, temperature_C=(20.0, 21.25))
+    texts = [name for name in TEXTS if name not in FOR_CERTIFICATES]
+    record = Record(**{name: f"the {name}" for name in texts}, temperature_C=(20.0, 21.25))
     filled = replace(first, record=record, uncertainty=("U", "0.05 mm"), source="data.csv")
     values = [value for _, value in (*filled.left, *filled.right)]
-    for name in TEXTS:
+    for name in texts:
         assert (f"the {name}" in values) == (name != "note")
     assert {"20.0 to 21.2", "0.05 mm", "data.csv"} <= {*values}
     assert len(first.left) == len(first.right)
+
+
+def test_a_form_of_its_own_takes_the_place_of_the_reports(first: FirstPage):
+    lines = [(f"line {k}", "") for k in range(12)]
+    other = replace(first, form=(lines, lines))
+    assert other.left == other.right == lines
+    # Three lines more than a report's form leave room for three reasons less.
+    assert len(other.listed) == len(first.listed) - 3
 
 
 def test_every_outcome_and_verdict_has_a_sign_of_its_own():

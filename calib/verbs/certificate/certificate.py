@@ -42,6 +42,7 @@ from calib.verbs.certificate.conformity import (
 from calib.verbs.certificate.points import (
     PARTS,
     Deviation,
+    Expanded,
     Point,
     PointRows,
     deviations,
@@ -364,12 +365,14 @@ def certificate_of(
     for unit in PARTS:
         if unit not in accurate.units:
             continue
-        reading = reading_noise(calibration, cell, left, accurate.poses, unit)
-        if not reading.is_stated and unit not in stated:
-            estimated.append(unit)
-        by_unit[unit] = deviations(
-            rows, () if found is None else found.poses, unit, reading, stated.get(unit)
-        )
+        if unit in stated:
+            expanded = Expanded.stated(stated[unit], len(rows.poses))
+        else:
+            reading = reading_noise(calibration, cell, left, accurate.poses, unit)
+            expanded = Expanded.of(rows, unit, reading)
+            if not reading.is_stated:
+                estimated.append(unit)
+        by_unit[unit] = deviations(rows, () if found is None else found.poses, unit, expanded)
         if unit in limits:
             by_unit[unit] = _with_conformance(by_unit[unit], limits[unit], accurate.factor)
 

@@ -180,11 +180,24 @@ def _identification(issuer: str, value: str, name: str, ref: str = "") -> Elemen
     return _of("identification", *parts, ref=ref)
 
 
-def _statement(ref: str, name: str, *texts: str, **parts: Element | None) -> Element:
-    """Return a statement with a declaration; further parts are in the order of the schema."""
-    head = [_text("name", name), parts.get("traceable"), *(parts.get("norms") or ())]
-    tail = [parts.get("date"), parts.get("conformity"), parts.get("data")]
-    return _of("statement", *head, _text("declaration", *texts), *tail, ref=ref)
+def _statement(
+    ref: str,
+    name: str,
+    *texts: str,
+    norms: Sequence[str] = (),
+    conformity: str = "",
+    data: Element | None = None,
+) -> Element:
+    """Return a statement with a declaration, and further parts in the order of the schema."""
+    return _of(
+        "statement",
+        _text("name", name),
+        *(_of("norm", norm) for norm in norms),
+        _text("declaration", *texts),
+        _of("conformity", conformity) if conformity else None,
+        data,
+        ref=ref,
+    )
 
 
 # Administrative data
@@ -344,8 +357,8 @@ def _conformity(c: Certificate, unit: str, decision: Decision) -> Element:
         "basic_conformity",
         "Conformity",
         rule,
-        norms=[_of("norm", "ISO 14253-1"), _of("norm", "JCGM 106")],
-        conformity=_of("conformity", word),
+        norms=("ISO 14253-1", "JCGM 106"),
+        conformity=word,
         data=_of("data", *quantities),
     )
 

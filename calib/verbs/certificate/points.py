@@ -19,9 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, read_only
-from calib.basics.channels import VECTOR
+from calib.basics.channels import VECTOR, residual_unit
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
+from calib.errors import MeasurementError
 from calib.result.calibration import Calibration
 from calib.uncertainty.at_poses import PoseUncertainty, Source, uncertainty_at
 from calib.uncertainty.coverage import covered_length
@@ -115,7 +116,10 @@ def reading_noise(
         unit: Symbol of the unit.
 
     Returns:
-        The noise; NaN if nothing is known of it.
+        The noise.
+
+    Raises:
+        MeasurementError: Nothing states it, the calibration did not estimate it, and no pose is repeated.
     """
     table, noise = left.measurements, calibration.noise
     general, freedom = cell.sigma.get(unit, noise.sigma_given.get(unit, np.nan)), np.inf
@@ -131,9 +135,16 @@ def reading_noise(
         scalars = left.residual[np.ix_(rows, left.channels.select(rows).columns(unit))]
         squares += float(np.sum((scalars - scalars.mean(axis=0)) ** 2))
         degrees += (len(rows) - 1) * scalars.shape[1]
-    if degrees and squares / degrees > np.mean(sigma**2):
+    if degrees and not squares / degrees <= np.mean(sigma**2):  # also where nothing is known of it
         scatter = np.full(len(table), np.sqrt(squares / degrees))
         return Reading(read_only(scatter), degrees, is_stated)
+    if not np.all(np.isfinite(sigma)):
+        of_unit = residual_unit(unit)
+        raise MeasurementError(
+            f"{table.source or 'Measurements'}: nothing states the noise of a measured {of_unit.measured}, and the "
+            f"calibration did not measure any. State it in the cell file ({of_unit.sigma_key}) or in a column "
+            f"'{of_unit.sigma_name} [{of_unit.shown}]', or give U by --uncertainty."
+        )
     return Reading(read_only(sigma), freedom, is_stated)
 
 
@@ -186,12 +197,57 @@ def point_rows(
     return PointRows(tuple(poses), first, uncertainty, read_only(in_base[:, :3, 3]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Expanded(Value):
+    """Expanded uncertainty of the deviation at each of K points in one unit."""
+
+    #: Shape (K,), U
+    uncertainty: Array
+    #: Shape (K,), U over the combined standard uncertainty
+    factor: Array
+    #: Shape (K,), effective degrees of freedom
+    freedom: Array
+
+    @classmethod
+    def stated(cls, uncertainty: float, count: int) -> Expanded:
+        """Return what a laboratory states (k = 2), for each of so many points."""
+        return cls(
+            read_only(np.full(count, uncertainty)),
+            read_only(np.full(count, _STATED_FACTOR)),
+            read_only(np.full(count, np.inf)),
+        )
+
+    @classmethod
+    def of(cls, rows: PointRows, unit: str, reading: Reading) -> Expanded:
+        """Return the uncertainty of deviations by their sources.
+
+        Args:
+            rows: The K points.
+            unit: Symbol of the unit, of `PARTS`.
+            reading: Noise of one scalar of a reading.
+        """
+        part = PARTS[unit]
+        counts = np.array([len(pose.rows) for pose in rows.poses])
+        of_reading = reading.sigma[list(rows.first)] ** 2 / counts
+        covariance = of_reading[:, None, None] * np.eye(VECTOR)
+        by_source = [(VECTOR * of_reading, reading.freedom)]
+        for one in rows.uncertainty.contributions:
+            if one.source in MEASURING:
+                block = one.covariance[:, part, part]
+                covariance = covariance + block
+                by_source.append((np.trace(block, axis1=1, axis2=2), one.freedom))
+        variance = np.sum([of_source for of_source, _ in by_source], axis=0)
+        # Welch and Satterthwaite, JCGM 100, G.4.
+        shares = np.sum([of_source**2 / freedom for of_source, freedom in by_source], axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            freedom = np.where(shares > 0.0, variance**2 / shares, np.inf)
+            expanded = covered_length(covariance, freedom)
+            factor = np.where(variance > 0.0, expanded / np.sqrt(variance), _STATED_FACTOR)
+        return cls(expanded, read_only(factor), read_only(freedom))
+
+
 def deviations(
-    rows: PointRows,
-    found: Sequence[PoseAccuracy],
-    unit: str,
-    reading: Reading,
-    stated: float | None = None,
+    rows: PointRows, found: Sequence[PoseAccuracy], unit: str, expanded: Expanded
 ) -> list[Deviation | None]:
     """Return the deviation at each point in one unit.
 
@@ -199,51 +255,23 @@ def deviations(
         rows: The K points, with the accuracy of the calibrated robot.
         found: Accuracy of the nominal robot at the same points; empty if it cannot be compared with the rows.
         unit: Symbol of the unit, of `PARTS`.
-        reading: Noise of one scalar of a reading.
-        stated: Expanded uncertainty (k = 2) of a deviation as the laboratory states it; None: it is computed.
+        expanded: Uncertainty of the deviations.
 
     Returns:
         A deviation for each point; None where the unit was not measured.
     """
-    part = PARTS[unit]
     of_pose = rows.uncertainty.position if unit == "m" else rows.uncertainty.orientation
-    shared = [one for one in rows.uncertainty.contributions if one.source in MEASURING]
-    counts = np.array([len(pose.rows) for pose in rows.poses])
-    of_reading = reading.sigma[list(rows.first)] ** 2 / counts
-    covariance = of_reading[:, None, None] * np.eye(VECTOR)
-    by_source = [(VECTOR * of_reading, reading.freedom)]
-    for one in shared:
-        block = one.covariance[:, part, part]
-        covariance = covariance + block
-        by_source.append((np.trace(block, axis1=1, axis2=2), one.freedom))
-    variance = np.sum([of_source for of_source, _ in by_source], axis=0)
-    # Welch and Satterthwaite, JCGM 100, G.4.
-    shares = np.sum([of_source**2 / freedom for of_source, freedom in by_source], axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        freedoms = np.where(shares > 0.0, variance**2 / shares, np.inf)
-    expanded = covered_length(covariance, freedoms)
-
     result: list[Deviation | None] = []
     for k, pose in enumerate(rows.poses):
-        left = pose[unit].ap
-        if not np.isfinite(left):
-            result.append(None)
-            continue
-        uncertainty, factor, freedom = float(expanded[k]), _STATED_FACTOR, float(freedoms[k])
-        if stated is not None:
-            uncertainty, freedom = stated, np.inf
-        elif variance[k] > 0.0:
-            factor = float(expanded[k] / np.sqrt(variance[k]))
-        result.append(
-            Deviation(
-                found=found[k][unit].ap if found else np.nan,
-                left=left,
-                uncertainty=uncertainty,
-                factor=factor,
-                freedom=freedom,
-                of_pose=float(of_pose[k]),
-            )
+        one = Deviation(
+            found=found[k][unit].ap if found else np.nan,
+            left=pose[unit].ap,
+            uncertainty=float(expanded.uncertainty[k]),
+            factor=float(expanded.factor[k]),
+            freedom=float(expanded.freedom[k]),
+            of_pose=float(of_pose[k]),
         )
+        result.append(one if np.isfinite(one.left) else None)
     return result
 
 

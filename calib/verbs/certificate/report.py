@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from calib.basics.files import write_atomically
+from calib.diagnosis.reasons import NO
 from calib.result.calibration_file import versions
 from calib.show.as_text import page_text
 from calib.show.blocks import (
@@ -79,6 +80,9 @@ def _verdict(c: Certificate) -> Verdict:
         reasons = reasons[1:]  # the rule itself has a section
     if not c.is_fresh:
         reasons.append("The points are the validation rows of the calibration's own table.")
+    of_calibration = c.calibration.verdict_on(non_geometric=c.assessment.judged == "non_geometric")
+    if of_calibration is not None and of_calibration.use == NO:
+        reasons.append("The verdict on the calibration itself is 'do not use': see Remarks.")
     return Verdict(c.outcome or "none", reasons)
 
 
