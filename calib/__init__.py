@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from calib.robot.robot import Robot as Robot
     from calib.verbs.bag.bag import bag as bag
     from calib.verbs.base_frame.base_frame import base_frame as base_frame
+    from calib.verbs.calibrate.again import Again as Again, again as again
     from calib.verbs.calibrate.uncertainty import bootstrap as bootstrap
     from calib.verbs.certificate.certificate import (
         Certificate as Certificate,
@@ -99,6 +100,7 @@ _NAMES = {
     "calib.verbs.history.history": "History history",
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
+    "calib.verbs.calibrate.again": "Again again",
     "calib.verbs.calibrate.uncertainty": "bootstrap",
     "calib.robot.dh_rows": "DHRow",
     "calib.robot.robot": "Robot",

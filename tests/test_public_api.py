@@ -23,6 +23,7 @@ CALIB = Path(calib.__file__).parent
 #: A name that leaves this list breaks programs that use it.
 NAMES = [
     "Acceptance",
+    "Again",
     "Board",
     "CalibError",
     "Calibration",
@@ -46,6 +47,7 @@ NAMES = [
     "Scenario",
     "TrackerNoise",
     "acceptance",
+    "again",
     "bag",
     "base_frame",
     "bootstrap",

@@ -11,7 +11,7 @@ class ExitStatus(IntEnum):
     DONE = 0  #: Everything was done.
     REFUSED = 1  #: An error, or a robot of a fleet that failed.
     WRONG_CALL = 2  #: An unknown option or argument, or a value that it does not take.
-    #: Something for a robot was withheld because of a verdict ``do not use``, or a tolerance was not shown to be kept.
-    #: Or something has moved since a calibration.
+    #: Something for a robot was withheld because of a verdict ``do not use``, a tolerance was not shown to be kept,
+    #: something has moved since a calibration, or a result that was made again is not equal.
     NOT_ACCEPTED = 3
     INTERRUPTED = 130  #: Ctrl-C.

@@ -387,8 +387,9 @@ def versions() -> dict[str, str]:
     library. Other kernels, instructions or C libraries round the last bits differently.
     """
     packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
+    # Without those that NPY_DISABLE_CPU_FEATURES names; a key that has none is missing.
     instructions = np.show_config("dicts")["SIMD Extensions"]
-    highest = [*instructions["baseline"], *instructions["found"]][-1:]
+    highest = [*instructions.get("baseline", ()), *instructions.get("found", ())][-1:]
     return {
         "calib": __version__,
         "python": platform.python_version(),
