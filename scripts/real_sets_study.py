@@ -223,7 +223,7 @@ def _figures(
         "forecast": {
             "unit": found.unit,
             "rows": found.rows,
-            "expected": found.expected,
+            "rms": found.rms,
             "freedom": found.freedom,
             "freedom_of_row": found.freedom_of_row,
             "shared": found.shared,

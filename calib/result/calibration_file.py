@@ -34,7 +34,7 @@ from calib.basics.json_files import (
     read_json,
 )
 from calib.basics.records import json_key
-from calib.basics.values import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping, shown_by
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
@@ -382,6 +382,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
         "frames.target_given_m": c.nominal_setup.T_tip_target[0, :3, 3] if target_given else None,
         "frames.target_estimated": c.setup.estimate_target,
         "errors": errors,
+        "forecast": _forecast_table(c, non_geometric=False),
         "model": _model_table(c.model),
         "solver.iterations": c.method.solution.iterations,
         "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
@@ -403,9 +404,17 @@ def result_table(c: Calibration) -> dict[str, Any]:
     if c.non_geometric is not None:
         table["non_geometric"] |= {
             "errors": table["errors"]["non_geometric"],
+            "forecast": _forecast_table(c, non_geometric=True),
             "model": _model_table(c.non_geometric.model),
         }
     table["plugins"] = plugins.plugin_tables(_registered_names(table))
+    return table
+
+
+def _forecast_table(c: Calibration, *, non_geometric: bool) -> dict[str, Any] | None:
+    """Return the forecast of the rms error of fresh rows, by its unit; None without cross-validation."""
+    forecast = c.forecast(non_geometric=non_geometric)
+    table: dict[str, Any] | None = shown_by("uncertainty.forecast").forecast_table(forecast)
     return table
 
 
