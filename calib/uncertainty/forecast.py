@@ -8,7 +8,8 @@ the errors; T is that of n fresh rows, which were not fitted, at poses like thos
 as of two means of squares with nu_n and nu_m degrees of freedom, those of chi-squares of their means and variances
 (F. E. Satterthwaite, Biometrics Bulletin 2, 1946). Rows of one pose are off together, so variances are those of sums
 over poses. For squares that are gamma distributed 2 S^2 / var(S) - 2 is unbiased for the degrees of freedom of m rows,
-whatever their shape: few for errors along one direction, or with heavy tails. With those of a row, h,
+whatever their shape: few for errors along one direction, or with heavy tails. Normal errors have no more than scalars,
+N. With the degrees of freedom h of a row,
 
     h = (2 S^2 / var(S) - 2) / m,        nu_m = (1 - kappa) m h,        1 / nu_n = 1 / (n h) + kappa / N
 
@@ -20,8 +21,8 @@ c without each: with the leverage H of a row's own scalars r = (1 - H) c, of exp
 As much less than m rows is left to the residuals; and kappa of S are errors of kappa N effective parameters, which all
 fresh rows share, however many there are.
 
-The median of T is S, not that of S F(nu_n, nu_m), which is larger where nu_m is small: a wild row among few makes both S
-large and nu_m small, so that S is then no less than what is to come.
+The median of T is S, not that of S F(nu_n, nu_m), which is larger where nu_m is small: a wild row among few makes both
+S large and nu_m small, so that S is then no less than what is to come.
 
 Wild rows would decide a mean of squares. A row is an outlier if its error is above sqrt(S F^-1(1 - a / n; h, m h)), of
 held-out rows n is m: one of a table without outliers is with a = 1 %. Scores of the fit do not tell them, as those of
@@ -190,6 +191,8 @@ def fresh_error(
         if np.array_equal(before, kept):
             break
     expected, freedom = _moments(squares[kept], poses[kept])
+    # Errors of normal scalars have no more than one degree of freedom each.
+    freedom = min(freedom, scalars * float(np.mean(kept)))
     share = 0.0
     if expected > 0.0:
         products = np.sum(held_out[kept] * fitted[kept])
@@ -296,9 +299,7 @@ def forecast(
         ).without(Source.SCALE)  # the same instrument measures fresh rows
         noise = result.noise.sigma_given.get("m", 0.0) if at_joints.separated else 0.0
         there = float(np.sqrt(np.mean(at_joints.position_std**2) + 3.0 * noise**2))
-        found = replace(
-            found, expected=max(found.expected, there), rows=float(len(at_joints.poses))
-        )
+        found = replace(found, rms=max(found.rms, there), rows=float(len(at_joints.poses)))
     return found if rows is None else replace(found, rows=float(rows))
 
 
