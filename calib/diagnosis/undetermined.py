@@ -102,15 +102,15 @@ def undetermined_error(
     """Expect the error over the joint limits that families add whose sizes the rows do not determine.
 
     Args:
-        fitted: A fit with priors. Of families outside of its model those that depend on loads, and rare ones, are left
-            out: the joint values alone say how much a measured region shows of the others. With given priors the sizes
-            of the model's own families are known.
+        fitted: A fit with priors. Of families outside of its model those that depend on loads or moves are left out:
+            the joint values alone say how much a measured region shows of the others. With given priors the sizes of
+            the model's own families are known.
         everywhere: Joint values over the joint limits, with loads if the model needs them.
         base_moves: Whether no row determines where the base stands.
 
     Returns:
-        The root of the square that is added to that by the covariance, rms [m], 0 without priors; and the covariance
-        that is added, of which it is a part, None without priors.
+        The root of the square that is added to that by the covariance, rms [m], 0 without priors and without rare
+        families; and the covariance that is added by all, None without priors.
     """
     estimate, task, kinematics = fitted.estimate, fitted.task, fitted.kinematics
     if not estimate.prior_std or task.cell.priors.source == "off":
@@ -122,10 +122,11 @@ def undetermined_error(
     prior = prior.at_bounds({k: float(estimate.x[k]) for k in estimate.at_bound})
 
     # The nominal robot with the usual families that the model does not have, and that depend on joint values alone.
+    # Rare ones of this kind count in the covariance alone: an unknown error of the joints, smooth over their values.
     further_names = [
         name
         for name, family in FAMILIES.items()
-        if not (family.loaded or family.rarity or name in kinematics.model.families)
+        if not (family.loaded or family.moved or name in kinematics.model.families)
     ]
     of_joints = [name for name in further_names if not FAMILIES[name].geometric]
     geometry = "placement" if len(of_joints) < len(further_names) else "frames"
@@ -153,6 +154,7 @@ def undetermined_error(
     fit_sizes[: len(prior.names)] = [estimate.prior_std[name] for name in prior.names]
     first_varied = 0 if task.cell.priors.source == "data" else len(prior.names)
     sizes = _grid_of_sizes(fit_sizes, typical, first_varied)
+    varied = (*prior.names, *further_names)[first_varied:]
     precision_by_family = (1.0 / sizes**2) @ families
     priors = GaussianPriors(precision_by_family + own, mean)
 
@@ -197,13 +199,15 @@ def undetermined_error(
         of_family = [0, *range(first, first + len(_SIZES))]
         weights = np.exp(likelihood[of_family] - np.max(likelihood[of_family]))
         mean_added = float(weights @ added[of_family] / np.sum(weights))
-        total += max(mean_added - added[0], 0.0)
+        name = varied[(first - 1) // len(_SIZES)]
+        if not FAMILIES[name].rarity or name in prior.names:
+            total += max(mean_added - added[0], 0.0)
         shares = weights / np.sum(weights)
         squares_away = np.einsum("kp,kq->kpq", away[of_family], away[of_family])
         M += np.einsum("k,kpq->pq", shares, covariance[of_family] + squares_away) - covariance[0]
     names = tuple(compress(further.model.names, kept))
     base_motion = None
-    if base_moves:
+    if base_moves and names:
         poses, J = further.twists(zero, measured)
         T = rigid_inverse(fitted.estimated_setup().T_frame_base[measured.frame])
         linear_part = T[:, :3, :3] @ J[:, :3][:, :, kept]

@@ -382,7 +382,6 @@ def result_table(c: Calibration) -> dict[str, Any]:
         "frames.target_given_m": c.nominal_setup.T_tip_target[0, :3, 3] if target_given else None,
         "frames.target_estimated": c.setup.estimate_target,
         "errors": errors,
-        "forecast": _forecast_table(c, non_geometric=False),
         "model": _model_table(c.model),
         "solver.iterations": c.method.solution.iterations,
         "inputs.urdf": {"name": urdf.source, "sha256": urdf.sha256},
@@ -404,18 +403,61 @@ def result_table(c: Calibration) -> dict[str, Any]:
     if c.non_geometric is not None:
         table["non_geometric"] |= {
             "errors": table["errors"]["non_geometric"],
-            "forecast": _forecast_table(c, non_geometric=True),
             "model": _model_table(c.non_geometric.model),
         }
     table["plugins"] = plugins.plugin_tables(_registered_names(table))
     return table
 
 
-def _forecast_table(c: Calibration, *, non_geometric: bool) -> dict[str, Any] | None:
-    """Return the forecast of the rms error of fresh rows, by its unit; None without cross-validation."""
-    forecast = c.forecast(non_geometric=non_geometric)
-    table: dict[str, Any] | None = shown_by("uncertainty.forecast").forecast_table(forecast)
+def _forecast_table(c: Calibration) -> dict[str, Any]:
+    """Return forecasts of the rms error of fresh rows by model and unit; it follows from the rest, and is not read."""
+    table_of = shown_by("uncertainty.forecast").forecast_table
+    table = {"urdf": table_of(c.forecast(non_geometric=False)), "non_geometric": None}
+    if c.non_geometric is not None:
+        table["non_geometric"] = table_of(c.forecast())
     return table
+
+
+def uncertainty_table(c: Calibration) -> dict[str, Any] | None:
+    """Return the uncertainty budget of the corrected URDF, and of the non-geometric model, over the measured ranges.
+
+    It follows from the rest of a result, and is not read. None if nothing tells how accurate predictions are.
+    """
+    if c.unknown_accuracy:
+        return None
+    by_model = None
+    if c.non_geometric is not None:
+        by_model = _budget_table(c.budget(non_geometric=True))
+    return {**_budget_table(c.budget(non_geometric=False)), "non_geometric": by_model}
+
+
+def _budget_table(budget: Any) -> dict[str, Any]:  # noqa: ANN401  of a module above
+    """Return a `calib.uncertainty.budget.Budget` as tables; missing numbers are infinite."""
+    lines = [
+        {
+            "source": line.source.value,
+            "position_std_m": line.position,
+            "orientation_std_rad": line.orientation,
+            "distribution": line.distribution.value,
+            "freedom": line.freedom,
+            "share": line.share,
+            "without_m": budget.without[line.source],
+        }
+        for line in budget.lines
+    ]
+    return {
+        "position_m": budget.position,
+        "orientation_rad": budget.orientation,
+        "position_std_m": budget.position_std,
+        "orientation_std_rad": budget.orientation_std,
+        "freedom": budget.freedom,
+        "factor": budget.factor,
+        "poses": budget.poses,
+        "separated": budget.separated,
+        "halving": [source.value for source in budget.halving],
+        "rows_factor": budget.rows_factor,
+        "lines": lines,
+    }
 
 
 def _registered_names(table: Json) -> dict[str, set[str]]:
@@ -461,7 +503,8 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    table = result_table(c) | dict(extra or {})
+    followed = {"uncertainty": uncertainty_table(c), "forecast": _forecast_table(c)}
+    table = result_table(c) | followed | dict(extra or {})
     return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
 
 

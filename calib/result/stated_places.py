@@ -16,6 +16,7 @@ from calib.basics.values import Value
 from calib.diagnosis.augmented_fit import augment, thin
 from calib.fit.estimate.fitting import Fitted
 from calib.model.kinematics import Sightings
+from calib.result.row_scatter import UNITS
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -29,6 +30,9 @@ class StatedPlace(Value):
     #: Shape (p, 6), change of the parameters by a unit of its displacement, along then about the axes of the frame (of
     #: a target those of the target, which turns about itself), if the fit takes it as exact [1/m, 1/rad]
     absorbed: Array
+    #: Shape (2, 6), mean square of what is left of such a unit in the residuals of the rows, of a scalar in metres and
+    #: of one in radians
+    on_rows: Array
 
 
 def stated_places(fitted: Fitted) -> tuple[StatedPlace, ...]:
@@ -53,13 +57,18 @@ def stated_places(fitted: Fitted) -> tuple[StatedPlace, ...]:
     result = []
     for is_frame, index, seen in places:
         if np.any(seen):
-            absorbed = _absorbed(few, seen, is_frame=is_frame)
-            result.append(StatedPlace(is_frame=is_frame, index=index, absorbed=absorbed))
+            absorbed, on_rows = _absorbed(few, seen, is_frame=is_frame)
+            result.append(
+                StatedPlace(is_frame=is_frame, index=index, absorbed=absorbed, on_rows=on_rows)
+            )
     return tuple(result)
 
 
-def _absorbed(fitted: Fitted, seen: Mask, *, is_frame: bool) -> Array:
-    """Return what parameters change by if the frame or target of rows, a mask (N,), is displaced, (p, 6)."""
+def _absorbed(fitted: Fitted, seen: Mask, *, is_frame: bool) -> tuple[Array, Array]:
+    """Return what parameters change by if the frame or target of rows, a mask (N,), is displaced, (p, 6).
+
+    And what of it is left in the residuals, as mean squares of scalars in metres and in radians, (2, 6).
+    """
     rows = fitted.estimate.problem.rows
     T = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
     origins = fitted.estimated_setup().T_frame_base[rows.samples.frame][:, :3, 3]
@@ -72,7 +81,14 @@ def _absorbed(fitted: Fitted, seen: Mask, *, is_frame: bool) -> Array:
     )
     products = np.einsum("c,cpq->pq", np.asarray(estimate.noise) ** -2.0, equations.H[0])
     count = len(estimate.x)
-    return read_only(estimate.covariance @ products[:count, count:])
+    absorbed = estimate.covariance @ products[:count, count:]
+    left = columns - estimate.problem.prediction_jacobian(estimate.x) @ absorbed
+    on_rows = np.zeros((2, columns.shape[2]))
+    for k, unit in enumerate(UNITS):
+        chosen = rows.channels.where(unit)
+        if np.any(chosen):
+            on_rows[k] = np.mean(left[chosen] ** 2, axis=0)
+    return read_only(absorbed), read_only(on_rows)
 
 
 def displaced(T: Array, origins: Array, *, is_frame: bool) -> Array:

@@ -50,9 +50,12 @@ from calib.numerics.errors import rms
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel
 from calib.result.row_scatter import joint_twists
-from calib.result.stated_places import displaced
+from calib.result.stated_places import StatedPlace, displaced
 from calib.uncertainty.beyond import variance_beyond
 from calib.uncertainty.coverage import covered_length
+
+#: Fewer degrees of freedom count as so many: Student's t has a variance from 3 on, which is not large from 5 on.
+_LEAST_FREEDOM = 5.0
 
 #: Directions of a pose: three of the position, three of the orientation.
 _POSITION, _ORIENTATION = slice(0, 3), slice(3, 6)
@@ -72,6 +75,10 @@ class Source(Enum):
     UNDETERMINED = "undetermined"
     RESOLUTION = "resolution"
     TEMPERATURE = "temperature"
+
+
+#: Sources that more rows of the same kind reduce, in proportion to their number: the noise of the rows is their cause.
+BY_ROWS = (Source.INSTRUMENT, Source.TARGET, Source.FRAME)
 
 
 class Distribution(Enum):
@@ -157,13 +164,21 @@ class PoseUncertainty(Value):
         return replace(self, contributions=tuple(parts))
 
     def _freedom(self, part: slice) -> Array:
-        """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite."""
+        """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite.
+
+        The parts that the noise of the rows makes through the fit are of one estimate of this noise: they err alike.
+        """
         total = np.zeros(len(self.poses))
         shares = np.zeros(len(self.poses))
+        alike = np.zeros(len(self.poses))
         for one in self.contributions:
             variance = _std(one.covariance, part) ** 2
             total = total + variance
-            shares = shares + variance**2 / one.freedom
+            if one.source in BY_ROWS:
+                alike = alike + variance / np.sqrt(one.freedom)
+            else:
+                shares = shares + variance**2 / one.freedom
+        shares = shares + alike**2
         with np.errstate(divide="ignore", invalid="ignore"):
             return read_only(np.where(shares > 0.0, total**2 / shares, np.inf))
 
@@ -192,7 +207,12 @@ def uncertainty_at(
     arrivals = arrivals_of(result, model)
     parts = (
         *_of_parameters(result, model, samples, twists, in_base=in_base),
-        *_of_stated_places(result, model, samples, poses, twists, in_base=in_base),
+        *(
+            _part(source, left @ left.transpose(0, 2, 1), Distribution.NORMAL, np.inf)
+            for source, left in by_stated_places(
+                result, model, samples, poses, twists, in_base=in_base
+            )
+        ),
         *_of_arrivals(arrivals, len(poses)),
         *_of_joints(result, model, samples, in_base=in_base),
         *_of_temperature(result, model, samples, poses, twists, in_base=in_base),
@@ -244,42 +264,75 @@ def _of_parameters(
         else:
             yield _part(source, covariance, Distribution.STUDENT, freedom)
 
-    scale = model.scale
-    if scale is not None and scale.size > 0.0:
-        grown = (twists @ model.change_by_scale)[:, :, None]
-        yield _part(
-            Source.SCALE,
-            grown @ grown.transpose(0, 2, 1),
-            Distribution.STUDENT,
-            scale.freedom_of_size,
-        )
+    size = scale_std(model)
+    if size > 0.0 and model.scale is not None:
+        grown = (twists @ model.scale.growth)[:, :, None] * size
+        yield _part(Source.SCALE, grown @ grown.transpose(0, 2, 1), Distribution.NORMAL, np.inf)
 
-    # Beyond the measured poses the larger of two estimates of what is lacking there counts.
+    share, factor = beyond_measured(result, model, samples, twists, total, in_base=in_base)
+    yield _part(Source.MODEL, share[:, None, None] * total, Distribution.NORMAL, np.inf)
+    by_families = factor @ factor.transpose(0, 2, 1)
+    yield _part(Source.UNDETERMINED, by_families, Distribution.NORMAL, np.inf)
+
+
+def beyond_measured(
+    result: Calibration,
+    model: FittedModel,
+    samples: Samples,
+    twists: Array,
+    total: Array,
+    *,
+    in_base: bool,
+) -> tuple[Array, Array]:
+    """Return what is lacking in the covariance of predictions beyond the measured poses, of two estimates the larger.
+
+    Args:
+        result: The calibration.
+        model: Its model that predicts, of p parameters.
+        samples: N samples.
+        twists: Derivatives of their poses by the parameters, (N, 6, p).
+        total: Their covariances by those of the parameters, (N, 6, 6).
+        in_base: Whether the poses are those in the base.
+
+    Returns:
+        The share of the covariance that is to be added, (N,), 0 where the other is larger; and the derivatives of the
+        poses by normal numbers of variance 1, (N, 6, r), by families of errors whose sizes the rows do not tell. The
+        share is told by rows at the ends of the ranges of a few joints, and enlarged for that.
+    """
+    enlarged = _by_few(float(len(result.nominal.inputs)))
     variance = _std(total, _POSITION) ** 2
-    beyond = np.maximum(variance - model.noise_measured**2, 0.0)
-    by_families = _of_families(result, model, samples, twists, in_base=in_base)
-    by_model = (model.extrapolation - 1.0) * beyond
-    of_model = by_model > _std(by_families, _POSITION) ** 2
-    share = np.where(of_model, by_model, 0.0) / np.where(of_model, variance, 1.0)
-    few = float(len(result.nominal.inputs))
-    yield _part(Source.MODEL, share[:, None, None] * total, Distribution.STUDENT, few)
-    kept = np.where(of_model, 0.0, 1.0)[:, None, None]
-    yield _part(Source.UNDETERMINED, kept * by_families, Distribution.STUDENT, few)
-
-
-def _of_families(
-    result: Calibration, model: FittedModel, samples: Samples, twists: Array, *, in_base: bool
-) -> Array:
-    """Return the covariance by families of errors whose sizes the rows do not tell, (N, 6, 6)."""
+    by_model = (model.extrapolation - 1.0) * np.maximum(variance - model.noise_measured**2, 0.0)
     families = model.undetermined_families
-    if families is None:
-        return np.zeros((len(twists), 6, 6))
-    further = families.twists(result.nominal, model.setup, samples, in_base=in_base)
-    by_factor = np.concatenate([twists, further], axis=2) @ families.factor
-    return np.asarray(by_factor @ by_factor.transpose(0, 2, 1))
+    factor = np.zeros((len(twists), 6, 0))
+    if families is not None:
+        further = families.twists(result.nominal, model.setup, samples, in_base=in_base)
+        factor = np.concatenate([twists, further], axis=2) @ families.factor
+    by_families = np.sum(factor[:, :3] ** 2, axis=(1, 2))
+    of_model = by_model > by_families
+    share = enlarged * np.where(of_model, by_model, 0.0) / np.where(of_model, variance, 1.0)
+    return share, np.where(of_model[:, None, None], 0.0, factor)
 
 
-def _of_stated_places(
+def scale_std(model: FittedModel) -> float:
+    """Return the standard uncertainty of the instrument's scale, by its prior and the rows: a share, 0 without."""
+    scale = model.scale
+    if scale is None or scale.size == 0.0:
+        return 0.0
+    return float(np.sqrt(scale.mean**2 + scale.variance * _by_few(scale.freedom_of_size)))
+
+
+def _by_few(freedom: float) -> float:
+    """Return the variance of Student's t, which an error has whose variance was estimated with few degrees of freedom.
+
+    Such an error counts as normal with this variance (JCGM 101, 6.4.9): Welch and Satterthwaite's formula fails for it.
+    """
+    if not np.isfinite(freedom):
+        return 1.0
+    nu = max(freedom, _LEAST_FREEDOM)
+    return nu / (nu - 2.0)
+
+
+def by_stated_places(
     result: Calibration,
     model: FittedModel,
     samples: Samples,
@@ -287,9 +340,20 @@ def _of_stated_places(
     twists: Array,
     *,
     in_base: bool,
-) -> Iterator[Contribution]:
-    """Yield the parts that stated frames and targets are of, which are known as well as the cell says."""
-    stated = result.stated_uncertainty
+) -> Iterator[tuple[Source, Array]]:
+    """Yield what stated frames and targets, which are known as well as the cell says, do to predicted poses.
+
+    Args:
+        result: The calibration.
+        model: Its model that predicts, of p parameters.
+        samples: N samples.
+        poses: Their predicted poses, (N, 4, 4) [m].
+        twists: The derivatives of these by the parameters, (N, 6, p).
+        in_base: Whether the poses are those in the base.
+
+    Yields:
+        Frame or target, and the derivatives of the poses by normal numbers of variance 1, shape (N, 6, 6).
+    """
     origins = np.zeros((len(poses), 3))
     if not in_base:
         origins = model.setup.T_frame_base[samples.frame][:, :3, 3]
@@ -298,12 +362,15 @@ def _of_stated_places(
         by_place = displaced(poses, origins, is_frame=place.is_frame)
         # In the base a frame is nowhere; other frames and targets see the fit's error alone.
         by_place[(numbers != place.index) | (place.is_frame and in_base)] = 0.0
-        left = by_place - twists @ place.absorbed
-        sizes = (stated.frame, stated.frame_angle) if place.is_frame else (stated.target, 0.0)
-        std = np.repeat(sizes, 3)
-        covariance = (left * std**2) @ left.transpose(0, 2, 1)
-        source = Source.FRAME if place.is_frame else Source.TARGET
-        yield _part(source, covariance, Distribution.NORMAL, np.inf)
+        left = (by_place - twists @ place.absorbed) * _place_std(result, place)
+        yield (Source.FRAME if place.is_frame else Source.TARGET), left
+
+
+def _place_std(result: Calibration, place: StatedPlace) -> Array:
+    """Return the standard deviations of a frame's or target's displacement, along and about its axes, (6,)."""
+    stated = result.stated_uncertainty
+    sizes = (stated.frame, stated.frame_angle) if place.is_frame else (stated.target, 0.0)
+    return np.repeat(sizes, 3)
 
 
 # What each arrival adds
@@ -336,7 +403,10 @@ def arrivals_of(result: Calibration, model: FittedModel) -> Arrivals:
     lacking, of_lacking = [0.0, 0.0], [np.inf, np.inf]
     if rows is None:
         return Arrivals((0.0, 0.0), (np.inf, np.inf), (0.0, 0.0), (np.inf, np.inf), 0.0, True)
-    by_joints = rows.by_joints @ _joint_variances(result)
+    # What is stated, and acted on the rows too.
+    on_rows = rows.by_joints @ _joint_variances(result)
+    for place in model.stated_places:
+        on_rows = on_rows + place.on_rows @ _place_std(result, place) ** 2
     separated = True
     for k in range(2):
         is_known = np.isfinite(rows.instrument[k])
@@ -348,7 +418,7 @@ def arrivals_of(result: Calibration, model: FittedModel) -> Arrivals:
                 float(rows.within[k]), float(rows.within_freedom[k]), instrument
             )
         if np.isfinite(rows.total[k]):
-            other = instrument + repeatability[k] + float(by_joints[k])
+            other = instrument + repeatability[k] + float(on_rows[k])
             lacking[k], of_lacking[k] = variance_beyond(
                 float(rows.total[k]), float(rows.freedom[k]), other
             )
@@ -384,12 +454,19 @@ def _of_arrivals(arrivals: Arrivals, count: int) -> Iterator[Contribution]:
 
 def _joint_variances(result: Calibration) -> Array:
     """Return the variance of each joint about its reading by what is stated, (m,), of all parts together."""
-    resolution, lost_motion = _stated_joint_limits(result)
+    resolution, lost_motion = stated_joint_limits(result)
     return np.asarray((resolution**2 + lost_motion**2) / 3.0)
 
 
-def _stated_joint_limits(result: Calibration) -> tuple[Array, Array]:
-    """Return half the step of each joint's reading, and its largest lost motion either way, (m,) each [rad] or [m]."""
+def stated_joint_limits(result: Calibration) -> tuple[Array, Array]:
+    """Return half the step of each joint's reading, and its largest lost motion either way, as stated.
+
+    Args:
+        result: The calibration.
+
+    Returns:
+        Shape (m,) each, [rad] or [m]; 0 where nothing is stated.
+    """
     stated = result.stated_uncertainty
     slides = np.array([joint.type == "prismatic" for joint in result.nominal.inputs])
     half_step = np.where(slides, stated.resolution_sliding, stated.resolution) / 2.0
@@ -400,7 +477,7 @@ def _of_joints(
     result: Calibration, model: FittedModel, samples: Samples, *, in_base: bool
 ) -> Iterator[Contribution]:
     """Yield the parts by which joints stand beside their readings."""
-    limits = _stated_joint_limits(result)
+    limits = stated_joint_limits(result)
     if not np.any(limits):
         return
     J = joint_twists(model.kinematics, model.x, samples)
@@ -412,14 +489,22 @@ def _of_joints(
         yield _part(source, covariance, Distribution.UNIFORM, np.inf)
 
 
-def mean_square_temperature(result: Calibration) -> float:
+def _mean_square_temperature(result: Calibration) -> float:
     """Return the mean square of the temperature at work about that of the measurement [K^2], over the stated range."""
+    low, high = warmer(result)
+    return (high - low) ** 2 / 12.0 + ((low + high) / 2.0) ** 2
+
+
+def warmer(result: Calibration) -> tuple[float, float]:
+    """Return by how much it is warmer at work than when the arm was measured, at least and at most [K]; 0: not stated.
+
+    The arm was measured at the mean temperature of the record, or else in the middle of the stated range.
+    """
     stated, measured = result.stated_uncertainty.temperature, result.record.temperature_C
     if not stated:
-        return 0.0
-    low, high = stated
-    at = float(np.mean(measured)) if measured else (low + high) / 2.0
-    return (high - low) ** 2 / 12.0 + ((low + high) / 2.0 - at) ** 2
+        return 0.0, 0.0
+    at = float(np.mean(measured or stated))
+    return stated[0] - at, stated[1] - at
 
 
 def _of_temperature(
@@ -437,7 +522,7 @@ def _of_temperature(
     from_base = np.zeros((len(poses), 6, 1))
     origin = np.zeros(3) if in_base else model.setup.T_frame_base[samples.frame][:, :3, 3]
     from_base[:, :3, 0] = poses[:, :3, 3] - origin
-    growth = stated.arm_expansion**2 * mean_square_temperature(result)
+    growth = stated.arm_expansion**2 * _mean_square_temperature(result)
     covariance = covariance + growth * (from_base @ from_base.transpose(0, 2, 1))
     measured = result.record.temperature_C
     if len(measured) > 1 and model.scale is not None:

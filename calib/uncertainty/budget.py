@@ -19,10 +19,7 @@ from calib.basics.values import ReadOnlyMapping, Value, keep_read_only
 from calib.numerics.errors import rms
 from calib.result.calibration import Calibration
 from calib.robot.ranges import SPREAD, spread_between, spread_poses
-from calib.uncertainty.at_poses import Distribution, PoseUncertainty, Source
-
-#: Sources that more rows of the same kind reduce, in proportion to their number.
-BY_ROWS = (Source.INSTRUMENT, Source.TARGET, Source.FRAME)
+from calib.uncertainty.at_poses import BY_ROWS, Distribution, PoseUncertainty, Source
 
 #: The share of the whole that is aimed at.
 _HALF = 0.5
@@ -119,7 +116,7 @@ class Budget(Value):
             freedom=float(np.median(uncertainty.position_freedom)),
             poses=len(uncertainty.poses),
             separated=uncertainty.separated,
-            without={source: rms(uncertainty.without(source).position) for source in sources},
+            without={source: _left(uncertainty, source) for source in sources},
             halving=_halving(uncertainty, sources),
             rows_factor=_rows_factor(uncertainty),
         )
@@ -141,6 +138,14 @@ def budget_poses(result: Calibration, *, everywhere: bool = False) -> Array:
     return spread_between(ranges, SPREAD)
 
 
+def _left(uncertainty: PoseUncertainty, *sources: Source) -> float:
+    """Return U of the position without some sources, rms over the poses [m].
+
+    It is not more than with them: degrees of freedom that fall as a well-known source goes do not make it worse.
+    """
+    return min(rms(uncertainty.without(*sources).position), rms(uncertainty.position))
+
+
 def _halving(uncertainty: PoseUncertainty, sources: tuple[Source, ...]) -> tuple[Source, ...]:
     """Return the fewest sources, given with the largest first, without which half of U is left, or less.
 
@@ -148,10 +153,7 @@ def _halving(uncertainty: PoseUncertainty, sources: tuple[Source, ...]) -> tuple
     """
     half = _HALF * rms(uncertainty.position)
     for count in range(1, len(sources) + 1):
-        left = {
-            chosen: rms(uncertainty.without(*chosen).position)
-            for chosen in combinations(sources, count)
-        }
+        left = {chosen: _left(uncertainty, *chosen) for chosen in combinations(sources, count)}
         best = min(left, key=left.__getitem__)
         if left[best] <= half:
             return best

@@ -46,6 +46,7 @@ from calib.verbs.evaluate.text import (
     outcome_reasons,
     place_sentences,
     rule_sentences,
+    uncertainty_sentences,
 )
 
 
@@ -145,7 +146,13 @@ def report(
         Section(lambda: [Paragraph(fresh)], on=TERMINAL),
         Section(partial(_images, e), on=TERMINAL),
         Section(partial(_accuracy, e), "Accuracy and repeatability"),
-        Section(lambda: [tables.poses(e, named_robot(e.judged, origins.result))], "Poses"),
+        Section(
+            lambda: [
+                tables.poses(e, named_robot(e.judged, origins.result)),
+                Bullets(list(uncertainty_sentences(e.accuracies[e.judged])), tight=True),
+            ],
+            "Poses",
+        ),
         Section(lambda: [Paragraph(hint)], on=TERMINAL),
         Section(
             lambda: [*errors(), *([Paragraph(fresh)] if fresh else [])],
