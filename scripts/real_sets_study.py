@@ -4,14 +4,14 @@
 
 FOLDER holds the sets of `SETS`, a folder each; those that are not there are left out. Each set is divided by random
 draws into fitted and fresh rows. The rule, made before any result was seen: whole poses; half of them are fitted, at
-most 100; all other rows are fresh. Rows that a set itself marks as held back (``validate``, or by its text) are neither.
+most 100; all other rows are fresh. Rows that a set holds back (``validate``, or by its text) are neither.
 
 Printed for each set, and as the mean over sets:
 
 - the share of draws whose forecast rms error is within 10 % and within 25 % of that of the fresh rows, outliers aside
   (`calib.uncertainty.forecast`), and of those in whose 90 % interval it is;
-- what chance alone allows: the same shares for as many rows drawn from the errors of all fresh rows of the set, if their
-  true rms is forecast (known), and if it is forecast by as many rows as were held out (drawn);
+- what chance alone allows: the same shares for as many poses drawn from the errors of all fresh rows of the set, if
+  their true rms is forecast (known), and if it is forecast by as many poses as were held out (drawn);
 - leaving each set out: the share in an interval that is widened, and shifted, by what the other sets show;
 - the share of fresh rows whose residual is within the expanded uncertainty of the prediction.
 
@@ -223,7 +223,7 @@ def _figures(
         "forecast": {
             "unit": found.unit,
             "rows": found.rows,
-            "expected": found.expected,
+            "rms": found.rms,
             "freedom": found.freedom,
             "freedom_of_row": found.freedom_of_row,
             "shared": found.shared,

@@ -36,7 +36,7 @@ from calib.basics.json_files import (
     read_json,
 )
 from calib.basics.records import json_key
-from calib.basics.values import ReadOnlyMapping
+from calib.basics.values import ReadOnlyMapping, shown_by
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
@@ -461,6 +461,15 @@ def result_table(c: Calibration) -> dict[str, Any]:
     return table
 
 
+def _forecast_table(c: Calibration) -> dict[str, Any]:
+    """Return forecasts of the rms error of fresh rows by model and unit; it follows from the rest, and is not read."""
+    table_of = shown_by("uncertainty.forecast").forecast_table
+    table = {"urdf": table_of(c.forecast(non_geometric=False)), "non_geometric": None}
+    if c.non_geometric is not None:
+        table["non_geometric"] = table_of(c.forecast())
+    return table
+
+
 def uncertainty_table(c: Calibration) -> dict[str, Any] | None:
     """Return the uncertainty budget of the corrected URDF, and of the non-geometric model, over the measured ranges.
 
@@ -551,7 +560,8 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    table = result_table(c) | {"uncertainty": uncertainty_table(c)} | dict(extra or {})
+    followed = {"uncertainty": uncertainty_table(c), "forecast": _forecast_table(c)}
+    table = result_table(c) | followed | dict(extra or {})
     return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
 
 

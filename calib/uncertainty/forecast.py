@@ -1,14 +1,15 @@
 """Forecast of the rms error of fresh rows: its distribution, by the errors of held-out rows.
 
 The error of a row is the length of its residual. Of the m rows that the fit held out in turn, S is the mean square of
-the errors; T is that of n fresh rows, which were not fitted, at poses like those fitted. As both are means of squares,
+the errors; T is that of n fresh rows, which were not fitted, at poses like those fitted. Approximately
 
-    T / S ~ F(nu_n, nu_m)
+    log(T / S) ~ N(0, 2 / nu_n + 2 / nu_m)
 
-approximately, with the degrees of freedom of two chi-squares of their means and variances (F. E. Satterthwaite,
-Biometrics Bulletin 2, 1946). Rows of one pose are off together, so variances are those of sums over poses. For squares
-that are gamma distributed 2 S^2 / var(S) - 2 is unbiased for the degrees of freedom of m rows, whatever their shape:
-few for errors along one direction, or with heavy tails. With those of a row, h,
+as of two means of squares with nu_n and nu_m degrees of freedom, those of chi-squares of their means and variances
+(F. E. Satterthwaite, Biometrics Bulletin 2, 1946). Rows of one pose are off together, so variances are those of sums
+over poses. For squares that are gamma distributed 2 S^2 / var(S) - 2 is unbiased for the degrees of freedom of m rows,
+whatever their shape: few for errors along one direction, or with heavy tails. Normal errors have no more than scalars,
+N. With the degrees of freedom h of a row,
 
     h = (2 S^2 / var(S) - 2) / m,        nu_m = (1 - kappa) m h,        1 / nu_n = 1 / (n h) + kappa / N
 
@@ -20,18 +21,22 @@ c without each: with the leverage H of a row's own scalars r = (1 - H) c, of exp
 As much less than m rows is left to the residuals; and kappa of S are errors of kappa N effective parameters, which all
 fresh rows share, however many there are.
 
-Wild rows would decide a mean of squares. A row is an outlier if its error is above sqrt(S F^-1(1 - a / n; h, nu_m)), of
+The median of T is S, not that of S F(nu_n, nu_m), which is larger where nu_m is small: a wild row among few makes both
+S large and nu_m small, so that S is then no less than what is to come.
+
+Wild rows would decide a mean of squares. A row is an outlier if its error is above sqrt(S F^-1(1 - a / n; h, m h)), of
 held-out rows n is m: one of a table without outliers is with a = 1 %. Scores of the fit do not tell them, as those of
 fresh rows are of another distribution than those of fitted ones, which a fit of few rows follows.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import fdtr, fdtri
+from scipy.special import fdtri, ndtr, ndtri
 
 from calib.basics.arguments import finite_numbers
 from calib.basics.arrays import Array, Integers, Mask
@@ -44,10 +49,13 @@ from calib.uncertainty.at_poses import Source
 #: Probability that the rms error of fresh rows is within the interval.
 LEVEL = 0.90
 
+#: Half the width of that interval of a normal variable, in standard deviations.
+_BOUND = float(ndtri(0.5 + LEVEL / 2.0))
+
 #: Probability that any row of a table without outliers is taken for one.
 _FALSE_ALARM = 0.01
 
-#: The fewest degrees of freedom, below which an F distribution has no bounds worth stating.
+#: The fewest degrees of freedom, below which an interval says nothing.
 _FEWEST_FREEDOM = 1.0
 
 #: More degrees of freedom than this are as good as infinitely many.
@@ -65,8 +73,8 @@ class FreshError(Value):
     unit: str
     #: Number n of fresh rows; may be infinite
     rows: float
-    #: Root of the mean square error that is expected, S; at stated joint values with what is not known there [unit]
-    expected: float
+    #: Median of the rms error, the root of S; at stated joint values with what is not known there [unit]
+    rms: float
     #: Degrees of freedom of S, nu_m
     freedom: float
     #: Degrees of freedom of a row, h: 3 of normal errors that are alike in three directions
@@ -75,39 +83,30 @@ class FreshError(Value):
     shared: float
     #: Share of the held-out rows that are outliers
     outliers: float
-    #: Number of held-out rows
+    #: Number m of held-out rows, outliers included
     held_out: int
 
     @property
-    def freedom_of_fresh(self) -> float:
-        """Degrees of freedom of the mean square of the fresh rows, nu_n."""
-        inverse = 1.0 / (self.rows * self.freedom_of_row) + self.shared
-        return float(1.0 / max(inverse, 1.0 / _MOST_FREEDOM))
-
-    def quantile(self, probability: float) -> float:
-        """Return the rms error that n fresh rows stay below with a probability, in the unit."""
-        ratio = fdtri(self.freedom_of_fresh, self.freedom, probability)
-        return float(self.expected * np.sqrt(ratio))
-
-    @property
-    def rms(self) -> float:
-        """The median of the rms error, in the unit."""
-        return self.quantile(0.5)
+    def spread(self) -> float:
+        """Standard deviation of the logarithm of the rms error."""
+        by_fresh = 1.0 / (self.rows * self.freedom_of_row) + self.shared
+        return float(np.sqrt(0.5 * (by_fresh + 1.0 / self.freedom)))
 
     @property
     def low(self) -> float:
         """The lower end of the 90 % interval of the rms error, in the unit."""
-        return self.quantile(0.5 - LEVEL / 2.0)
+        return float(self.rms * np.exp(-_BOUND * self.spread))
 
     @property
     def high(self) -> float:
         """The upper end of the 90 % interval of the rms error, in the unit."""
-        return self.quantile(0.5 + LEVEL / 2.0)
+        return float(self.rms * np.exp(_BOUND * self.spread))
 
     @property
     def limit(self) -> float:
         """The error above which one of the n rows is an outlier, in the unit."""
-        return self.expected * _limit(self.freedom_of_row, self.freedom, self.rows)
+        of_held_out = self.freedom_of_row * (1.0 - self.outliers) * self.held_out
+        return self.rms * _limit(self.freedom_of_row, of_held_out, self.rows)
 
     def compared(self, errors: ArrayLike) -> FreshRows:
         """Compare fresh rows with the forecast, which becomes one for as many rows.
@@ -132,8 +131,9 @@ class FreshError(Value):
             kept = ~kept
         forecast = replace(self, rows=float(np.sum(kept)))
         found = rms(lengths[kept])
-        square = (found / forecast.expected) ** 2
-        probability = float(fdtr(forecast.freedom_of_fresh, forecast.freedom, square))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            score = np.log(found / forecast.rms) / forecast.spread
+        probability = float(ndtr(score)) if found != forecast.rms else 0.5
         return FreshRows(forecast, found, probability, int(np.sum(~kept)))
 
 
@@ -191,6 +191,8 @@ def fresh_error(
         if np.array_equal(before, kept):
             break
     expected, freedom = _moments(squares[kept], poses[kept])
+    # Errors of normal scalars have no more than one degree of freedom each.
+    freedom = min(freedom, scalars * float(np.mean(kept)))
     share = 0.0
     if expected > 0.0:
         products = np.sum(held_out[kept] * fitted[kept])
@@ -198,7 +200,7 @@ def fresh_error(
     return FreshError(
         unit=unit,
         rows=float(len(squares)),
-        expected=float(np.sqrt(expected)),
+        rms=float(np.sqrt(expected)),
         freedom=max((1.0 - share) * freedom, _FEWEST_FREEDOM),
         freedom_of_row=freedom / float(np.sum(kept)),
         shared=share / scalars,
@@ -297,7 +299,13 @@ def forecast(
         ).without(Source.SCALE)  # the same instrument measures fresh rows
         noise = result.noise.sigma_given.get("m", 0.0) if at_joints.separated else 0.0
         there = float(np.sqrt(np.mean(at_joints.position_std**2) + 3.0 * noise**2))
-        found = replace(
-            found, expected=max(found.expected, there), rows=float(len(at_joints.poses))
-        )
+        found = replace(found, rms=max(found.rms, there), rows=float(len(at_joints.poses)))
     return found if rows is None else replace(found, rows=float(rows))
+
+
+def forecast_table(found: FreshError | None) -> dict[str, Any] | None:
+    """Return a forecast as a table by its unit, as files have it, in SI units; None for none."""
+    if found is None:
+        return None
+    figures = asdict(found) | {"low": found.low, "high": found.high, "limit": found.limit}
+    return {figures.pop("unit"): figures}

@@ -20,6 +20,7 @@ from calib.result.parts import Outlier
 from calib.show.error_tables import measured_lengths
 from calib.show.lines import listed, mm, plural
 from calib.show.words import before_and_after, chain_name, rms_text, shown, with_unit
+from calib.uncertainty.forecast import FreshError
 
 #: A part whose share of an rms error is above this makes more than half of its square.
 _MOSTLY = 0.71
@@ -39,6 +40,7 @@ _NOTHING = 2e-3
 
 #: Labels of `facts` that tests and the report ask for.
 EXPECTED = "Expected error at a new point"
+FRESH = "Fresh rows"
 POSE_NOISE = "Noise of poses"
 BOARD = "Board in three dimensions"
 SCATTER = "Scatter of repeats"
@@ -84,7 +86,7 @@ def facts(c: Calibration) -> dict[str, str]:
 
     Returns:
         A sentence for each label, as far as the figure exists: noise, scatter of repeats, expected error at a new
-        point, prior standard deviations, rank.
+        point and of fresh rows, prior standard deviations, rank.
     """
     result = {"Noise": noise_text(c)}
     if c.noise.pose_noise is not None:
@@ -110,6 +112,9 @@ def facts(c: Calibration) -> dict[str, str]:
                 f" Most of it is a scale error of the instrument of up to {100.0 * scale.bound:.2f} % in the "
                 "arm's lengths: if the scale is known better, say so in the cell file (instrument)."
             )
+        fresh = c.forecast(non_geometric=False)
+        if fresh is not None:
+            result[FRESH] = fresh_text(fresh)
 
     boards = ((c.geometry.board, "held-out"), (c.geometry.validation_board, "validation"))
     found = [_board_text(b, which) for b, which in boards if b is not None]
@@ -137,6 +142,18 @@ def _board_text(b: BoardErrors, which: str) -> str:
         f"rms of {b.views} {which} views, beyond their own noise ({mm(b.across_alone)} and {mm(b.depth_alone)} mm). "
         f"Mean along it {mm(b.depth_bias)} ± {mm(b.depth_bias_std)} mm."
     )
+
+
+def fresh_text(fresh: FreshError) -> str:
+    """Word the forecast of the rms error of fresh rows."""
+    low, high = shown(fresh.low, fresh.unit), with_unit(fresh.high, fresh.unit)
+    text = (
+        f"{with_unit(fresh.rms, fresh.unit)} rms is forecast for {fresh.rows:,.0f} at poses like these, by the same "
+        f"instrument; {low} to {high} with 90 %"
+    )
+    if fresh.outliers > 0.0:
+        text += f", and {100.0 * fresh.outliers:.1f} % outliers besides"
+    return text + "."
 
 
 def noise_text(c: Calibration) -> str:

@@ -33,6 +33,7 @@ from calib.errors import CalibError, MeasurementError, choices
 from calib.numerics.moves import common_side
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
+from calib.uncertainty.forecast import FreshRows
 from calib.verbs.evaluate.accuracy import Accuracy, PoseAccuracy, accuracy, fitted_rows
 from calib.verbs.evaluate.characteristics import Characteristic, characteristics
 from calib.verbs.evaluate.evaluation import (
@@ -260,6 +261,9 @@ class Assessment(Value):
     #: Error of a board's position that the judged result expects near the poses that it was fitted to, rms [m]; None
     #: without a result of images
     expected: float | None = None
+    #: Rows that the judged result was not fitted to, beside its forecast of their rms error; None without a forecast,
+    #: or if frame or target were registered to the rows
+    fresh: FreshRows | None = None
 
     def __post_init__(self) -> None:
         """Keep read-only copies of the mappings."""
@@ -373,11 +377,12 @@ def assess(
         hint = moved_place(robot_now, table, cell, calibration.setup, which)
         if hint is None and _is_from_other_sides(table, calibration):
             hint = Reason.of(Why.OTHER_SIDES)
-    expected = None
+    expected = fresh = None
     if calibration is not None and judged in ("calibration", "non_geometric"):
         part = calibration.geometry if judged == "calibration" else calibration.non_geometric
         if part is not None and part.board is not None:
             expected, _ = part.new_point
+        fresh = _fresh_rows(calibration, evaluations[judged], seen, judged == "non_geometric")
     return Assessment(
         evaluations=evaluations,
         accuracies=accuracies,
@@ -390,7 +395,21 @@ def assess(
         outside=(outside, numbers),
         hint=hint,
         expected=expected,
+        fresh=fresh,
     )
+
+
+def _fresh_rows(
+    calibration: Calibration, evaluation: Evaluation, seen: Mask, non_geometric: bool
+) -> FreshRows | None:
+    """Compare the rows that a result was not fitted to, (N,) those that it was, with its forecast; None without one."""
+    forecast = calibration.forecast(non_geometric=non_geometric)
+    if forecast is None or evaluation.registered:
+        return None
+    errors = evaluation.channels.norms(evaluation.residual, forecast.unit)[~seen]
+    errors = errors[np.isfinite(errors)]
+    compared: FreshRows | None = forecast.compared(errors) if len(errors) else None
+    return compared
 
 
 def _is_from_other_sides(table: Measurements, calibration: Calibration) -> bool:

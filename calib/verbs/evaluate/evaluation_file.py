@@ -9,6 +9,7 @@ from typing import Any
 from calib.basics.dates import date_text, now
 from calib.result.board_errors import board_table
 from calib.result.calibration_file import drift_table, error_table, pose_table, versions
+from calib.uncertainty.forecast import FreshRows, forecast_table
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.accuracy import Accuracy
 from calib.verbs.evaluate.characteristics import Characteristic
@@ -65,6 +66,7 @@ def assessment_table(e: Assessment) -> dict[str, Any]:
         },
         "drift": None if urdf.drift is None else drift_table(urdf.drift),
         "acceptance": accepted,
+        "forecast": None if e.fresh is None else fresh_table(e.fresh),
         "record": asdict(urdf.record),
         "time": date_text(now()),
     }
@@ -117,3 +119,15 @@ def acceptance_table(a: Acceptance) -> dict[str, Any]:
             "outcome": check.outcome,
         }
     return table
+
+
+def fresh_table(fresh: FreshRows) -> dict[str, Any]:
+    """Return fresh rows beside their forecast, in SI units."""
+    return {
+        "rows": int(fresh.forecast.rows),
+        "outliers": fresh.outliers,
+        "found": fresh.rms,
+        "probability": fresh.probability,
+        "within": fresh.within,
+        "forecast": forecast_table(fresh.forecast),
+    }

@@ -41,6 +41,7 @@ from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.evaluation import Evaluation
 from calib.verbs.evaluate.text import (
     NAMES,
+    fresh_text,
     named_robot,
     outcome_reasons,
     place_sentences,
@@ -134,6 +135,7 @@ def report(
     errors = partial(tables.errors, e, origins.result, columns)
     rule = Bullets(list(rule_sentences(e)), on=HTML)
     places = Bullets([*place_sentences(e, origins.target), *filter(None, [origins.other_run])])
+    fresh = "" if e.fresh is None else fresh_text(e.fresh)
     hint = reason_text(e.hint) if e.hint is not None and e.accepted is None else ""
     sections = (
         Section(lambda: [_first_page(e, origins.result)], on=HTML),
@@ -141,6 +143,7 @@ def report(
         Section(lambda: [_verdict(e, origins.result), tables.checks(e), rule], "Outcome"),
         Section(lambda: [places], on=TERMINAL),
         Section(errors, on=TERMINAL | NOTEBOOK),
+        Section(lambda: [Paragraph(fresh)], on=TERMINAL),
         Section(partial(_images, e), on=TERMINAL),
         Section(partial(_accuracy, e), "Accuracy and repeatability"),
         Section(
@@ -151,7 +154,11 @@ def report(
             "Poses",
         ),
         Section(lambda: [Paragraph(hint)], on=TERMINAL),
-        Section(errors, "Errors of all rows", on=HTML),
+        Section(
+            lambda: [*errors(), *([Paragraph(fresh)] if fresh else [])],
+            "Errors of all rows",
+            on=HTML,
+        ),
         Section(lambda: [_measurements(e), places], "Measurements", on=HTML),
         Section(partial(_registered, e), on=NOTEBOOK),
         Section(

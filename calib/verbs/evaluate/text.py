@@ -14,6 +14,7 @@ from calib.show.lines import listed, mm, plural, row_ranges, times
 from calib.show.reference_text import reference_lines
 from calib.show.verdict_text import reason_text
 from calib.show.words import chain_name, outside_text, rms_text, shown, with_unit
+from calib.uncertainty.forecast import FreshRows
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment, Check
 from calib.verbs.evaluate.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
 from calib.verbs.evaluate.evaluation import Evaluation
@@ -251,6 +252,22 @@ def _rows_reasons(a: Acceptance) -> Iterator[str]:
             f"{a.within} of {count} poses are within: of poses chosen at random in the same way at least {share:.0f} % "
             "are, with 95 % confidence."
         )
+
+
+def fresh_text(fresh: FreshRows) -> str:
+    """Word whether fresh rows are as a result forecast."""
+    forecast = fresh.forecast
+    low, high = shown(forecast.low, forecast.unit), with_unit(forecast.high, forecast.unit)
+    place = "within it"
+    if not fresh.within:
+        place = "above it: something changed, or the poses are unlike those that were fitted"
+        if not fresh.above:
+            place = "below it: the poses are easier than those that were fitted, or the rows fewer than they seem"
+    aside = f" ({plural(fresh.outliers, 'outlier')} aside)" if fresh.outliers else ""
+    return (
+        f"Forecast of the calibration for {plural(int(forecast.rows), 'row')} that it was not fitted to{aside}: "
+        f"{low} to {high} rms with 90 %. These show {with_unit(fresh.rms, forecast.unit)}, {place}."
+    )
 
 
 def rule_sentences(e: Assessment) -> Iterator[str]:
