@@ -229,7 +229,8 @@ def environment(root: Path) -> dict[str, str]:
 
 def compile_tests(root: Path, mutants: list[Mutant]) -> None:
     """Compile the tests of mutants, and all that they import, once for all runs: half of a run is compilation."""
-    paths = {mutant.path for mutant in mutants} | {tests_of(mutant.path) for mutant in mutants}
+    folders = {tests_of(mutant.path) for mutant in mutants}
+    paths = {mutant.path for mutant in mutants} | {one for one in folders if (root / one).exists()}
     subprocess.run(
         [
             sys.executable,
@@ -285,6 +286,8 @@ def judged(root: Path, mutant: Mutant, sound: set[str]) -> Mutant:
     """
     path = root / mutant.path
     folder = tests_of(mutant.path)
+    if not (root / folder).exists():  # nothing notices anything
+        return mutant
     own = f"{folder}/test_{path.name}"
     first = [mutant.path, own] if (root / own).exists() else [mutant.path]
     data, times = path.read_bytes(), path.stat()

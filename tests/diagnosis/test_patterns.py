@@ -247,6 +247,19 @@ def test_a_pattern_along_fixed_axes_is_found_and_named(joint):
     assert [test.p for _, test, _ in found] == sorted(test.p for _, test, _ in found)
 
 
+def test_of_joints_beyond_any_doubt_the_surer_comes_first():
+    """Both probabilities are 0 in double precision, of two joints that move almost alike."""
+    table = Table(np.random.default_rng(5), 200, columns=10)
+    shadow, joint = np.flatnonzero(~np.array(PRISMATIC))[:2]
+    table.joints[:, shadow] = table.joints[:, joint] + 1e-3 * np.cos(np.arange(200.0))
+    pattern = 1e3 * np.sin(table.joints[:, [joint]]) * np.array([1.5, -1.0, 0.5])
+    found = table.patterns(pattern, along=[np.tile(np.eye(3), (200, 1))] * 6)
+    (first, surest, _), (second, other, _) = found[:2]
+    assert (first, second) == (joint, shadow)
+    assert surest.p == other.p == 0.0
+    assert surest.F > other.F
+
+
 @pytest.mark.parametrize(
     ("repeats", "shared", "size"), [(1, 0.0, 3.0), (4, 0.9, 3.0), (5, 0.99, 0.5)]
 )

@@ -98,7 +98,8 @@ def test_ranges_are_those_of_the_rows_with_weight(ur3, table, paper_cell):
     cell = replace(paper_cell, model="zeros")
     c = calibrate(ur3, replace(table, points=points), cell=cell, validate=False)
     assert c.rows.weights[farthest] == 0.0
-    q = table.joints[estimated[estimated != farthest]]
+    q = table.joints[c.rows.weights > 0.0]
+    assert len(q) > 20
     np.testing.assert_allclose(c.rows.ranges, np.stack([q.min(axis=0), q.max(axis=0)], axis=1))
     assert c.rows.ranges[0, 1] < table.joints[farthest, 0]
 
@@ -369,10 +370,18 @@ def test_without_positions_the_arm_is_right_as_one_body(calibrated, name):
     assert found < 3 * c.geometry.expected_everywhere
 
 
-@pytest.mark.parametrize("model", ["dh", "dh+gain"])
 @pytest.mark.parametrize(
-    ("kind", "frames"),
-    [("points", TRACKERS), ("poses", TRACKERS), ("distances", SOCKETS), ("fixed", SOCKETS)],
+    ("kind", "frames", "model"),
+    [
+        ("points", TRACKERS, "dh"),
+        ("poses", TRACKERS, "dh+gain"),
+        ("distances", SOCKETS, "dh+gain"),
+        ("fixed", SOCKETS, "dh"),
+        pytest.param("points", TRACKERS, "dh+gain", marks=pytest.mark.slow),
+        pytest.param("poses", TRACKERS, "dh", marks=pytest.mark.slow),
+        pytest.param("distances", SOCKETS, "dh", marks=pytest.mark.slow),
+        pytest.param("fixed", SOCKETS, "dh+gain", marks=pytest.mark.slow),
+    ],
 )
 def test_a_set_up_of_validation_rows_alone_is_registered_to_them(make_scene, kind, frames, model):
     """Without noise the rows agree with a frame of their own, found again by evaluate; no parameter stands for it."""
