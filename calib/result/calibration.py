@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import calib.data.kinds as registry
 from calib.basics.arguments import check_path, check_type, finite_numbers
 from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.frames import Library
@@ -48,6 +49,9 @@ _SAME = 1e-9
 
 #: Digits of a run's id: by chance two of a million runs share one with a probability of 0.2 %.
 _RUN_DIGITS = 12
+
+#: Degrees of freedom from which on the noise is estimated from the rows, not from its prior.
+ENOUGH_FREEDOM = 6.0
 
 #: Arguments of a prediction: where it is made, and with which model.
 _WHERE = ("target", "group", "non_geometric", "moves")
@@ -340,6 +344,22 @@ class Calibration(Value):
     def new_point(self) -> tuple[float, float]:
         """Expected error at a new point by the geometry, rms [m]: at poses like those measured, and over the limits."""
         return self.geometry.new_point
+
+    @property
+    def unknown_accuracy(self) -> Literal["", "verdict", "rows", "stops"]:
+        """Why nothing tells how accurate predictions are; empty if the expected error and the budget mean something.
+
+        ``"verdict"``: a usual mistake explains the rows, or a frame was not found, so that what was fitted does not
+        exist. ``"rows"``: too few rows without cross-validation; prior standard deviations estimated from nothing
+        shrink to nothing, and the expected error with them. ``"stops"``: end stops tell nothing of lengths.
+        """
+        if self.cross_validation is None and self.verdict is not None:
+            return "verdict"
+        if self.cross_validation is None and self.noise.freedom < ENOUGH_FREEDOM:
+            return "rows"
+        if all(registry.get(kind).of_joint for kind in self.rows.kinds):
+            return "stops"
+        return ""
 
     @property
     def model(self) -> ErrorModel:

@@ -409,6 +409,48 @@ def result_table(c: Calibration) -> dict[str, Any]:
     return table
 
 
+def uncertainty_table(c: Calibration) -> dict[str, Any] | None:
+    """Return the uncertainty budget of the corrected URDF, and of the non-geometric model, over the measured ranges.
+
+    It follows from the rest of a result, and is not read. None if nothing tells how accurate predictions are.
+    """
+    if c.unknown_accuracy:
+        return None
+    by_model = None
+    if c.non_geometric is not None:
+        by_model = _budget_table(c.budget(non_geometric=True))
+    return {**_budget_table(c.budget(non_geometric=False)), "non_geometric": by_model}
+
+
+def _budget_table(budget: Any) -> dict[str, Any]:  # noqa: ANN401  of a module above
+    """Return a `calib.uncertainty.budget.Budget` as tables; missing numbers are infinite."""
+    lines = [
+        {
+            "source": line.source.value,
+            "position_std_m": line.position,
+            "orientation_std_rad": line.orientation,
+            "distribution": line.distribution.value,
+            "freedom": line.freedom,
+            "share": line.share,
+            "without_m": budget.without[line.source],
+        }
+        for line in budget.lines
+    ]
+    return {
+        "position_m": budget.position,
+        "orientation_rad": budget.orientation,
+        "position_std_m": budget.position_std,
+        "orientation_std_rad": budget.orientation_std,
+        "freedom": budget.freedom,
+        "factor": budget.factor,
+        "poses": budget.poses,
+        "separated": budget.separated,
+        "halving": [source.value for source in budget.halving],
+        "rows_factor": budget.rows_factor,
+        "lines": lines,
+    }
+
+
 def _registered_names(table: Json) -> dict[str, set[str]]:
     """Return the names of families, kinds, solvers and parameter sets that a result uses, by the keys of `WORDS`.
 
@@ -452,7 +494,7 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    table = result_table(c) | dict(extra or {})
+    table = result_table(c) | {"uncertainty": uncertainty_table(c)} | dict(extra or {})
     return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
 
 

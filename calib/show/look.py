@@ -28,8 +28,11 @@ OUTLIER = "#c8323c"
 #: Colour of lines of sight and of the instruments that they come from.
 BEAM = "#a0569a"
 
-#: Colours from little (pale) to much (dark): density of the target's positions, uncertainty.
+#: Colours from little (pale) to much (dark): density of the target's positions.
 LITTLE_TO_MUCH = ("#fbe3b0", "#f5b13a", "#d6602a", "#8c2a4f")
+
+#: Colours from sure (light) to unsure (dark): uncertainty over the workspace, on figures and on the 3-D page.
+SURE_TO_UNSURE = ("#9bd7a0", "#36a796", "#2b7098", "#433585", "#2b0d42")
 
 #: Colour of text and axes.
 INK = "#16202a"

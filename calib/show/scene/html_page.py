@@ -56,11 +56,11 @@ class LegendEntry(NamedTuple):
 
     #: Its text
     text: str
-    #: Colour of its mark, ``"#rrggbb"``
+    #: Colour of its mark, ``"#rrggbb"``; of a scale of colours a gradient, as CSS has it
     colour: str
     #: Nodes below `calib.show.scene.scene.SCENE`, with blanks between them
     nodes: str
-    #: Shape of its mark: ``"dot"``, ``"arrow"``, ...; empty for a square
+    #: Shape of its mark: ``"dot"``, ``"arrow"``, ``"scale"``, ...; empty for a square
     kind: str = ""
     #: The nodes are shown at first
     on: bool = True

@@ -290,13 +290,46 @@ def draw_cloud(node: meshcat.Visualizer, points: ArrayLike, colour: str, edge: f
         colour: ``"#rrggbb"``.
         edge: Edge of a dot [m].
     """
+    count = len(np.asarray(points))
+    draw_coloured(node, points, np.repeat([_levels(colour)], count, axis=0), edge)
+
+
+def draw_coloured(
+    node: meshcat.Visualizer, points: ArrayLike, colours: ArrayLike, edge: float
+) -> None:
+    """Draw points as square dots, each of its own colour.
+
+    Args:
+        node: Node of the points.
+        points: shape (N, 3), [m].
+        colours: shape (N, 3), red, green and blue from 0 to 1.
+        edge: Edge of a dot [m].
+    """
     positions = np.asarray(points, dtype=np.float32).T
-    levels = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-    rgb = np.array(levels, dtype=np.float32) / 255
-    colours = np.repeat(rgb[:, None], positions.shape[1], axis=1)
     # three.js scales sizes as if the angle of view were 90 deg.
     size = edge / np.tan(0.5 * np.deg2rad(_FOV_DEG))
-    node.set_object(mc.PointCloud(positions, colours, size=float(size)))
+    levels = np.asarray(colours, dtype=np.float32).T
+    node.set_object(mc.PointCloud(positions, levels, size=float(size)))
+
+
+def blended(colours: Sequence[str], shares: Array) -> Array:
+    """Blend a scale of colours.
+
+    Args:
+        colours: ``"#rrggbb"``, evenly along the scale.
+        shares: shape (N,), places on the scale, from 0 to 1.
+
+    Returns:
+        shape (N, 3), red, green and blue from 0 to 1.
+    """
+    levels = np.array([_levels(colour) for colour in colours])
+    places = np.linspace(0.0, 1.0, len(colours))
+    return np.stack([np.interp(shares, places, of_light) for of_light in levels.T], axis=1)
+
+
+def _levels(colour: str) -> Array:
+    """Return red, green and blue, from 0 to 1, of a colour ``"#rrggbb"``, shape (3,)."""
+    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
 
 
 def draw_lines(node: meshcat.Visualizer, ends: Array, colour: str, opacity: float = 1.0) -> None:

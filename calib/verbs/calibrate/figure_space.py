@@ -8,8 +8,7 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.result.calibration import Calibration
-from calib.robot.ranges import spread_poses
-from calib.show.look import INK, SOFT, row_kinds
+from calib.show.look import INK, SOFT, SURE_TO_UNSURE, row_kinds
 from calib.show.measured_rows import chains_of_rows, measured_in_base, setup_of_rows
 from calib.show.plotting import (
     MOST_SHAPES,
@@ -22,6 +21,7 @@ from calib.show.plotting import (
     set_view,
     view_limits,
 )
+from calib.show.uncertainty_map import uncertainty_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -102,10 +102,10 @@ def points(c: Calibration) -> Figure:
 
 
 def uncertainty(c: Calibration) -> Figure:
-    """Draw the standard deviation of predicted positions over the joint limits: three views, and its distribution."""
-    q = spread_poses(c.nominal, POSES)
-    places = 1e3 * predicted_places(c, q)
-    std = 1e3 * c.position_std(q, non_geometric=False)
+    """Draw the expanded uncertainty of predicted positions over the joint limits: three views, and its distribution."""
+    shown = uncertainty_map(c, POSES)
+    places = 1e3 * shown.places
+    expanded = 1e3 * shown.position
     limits = view_limits(places)
     measured = 1e3 * measured_places(c)
     measured = measured[:: 1 + len(measured) // _MEASURED_POINTS]
@@ -115,7 +115,7 @@ def uncertainty(c: Calibration) -> Figure:
     ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.0, "mfc": "white", "mew": 0.6}
     cells = []
     for ax, (i, j, name) in zip(views, VIEWS, strict=True):
-        cells.append(_draw_cells(ax, places[:, [i, j]], std, limits[:, [i, j]]))
+        cells.append(_draw_cells(ax, places[:, [i, j]], expanded, limits[:, [i, j]]))
         ax.plot(*measured[:, [i, j]].T, mec=INK, label="measured rows", **ring)
         ax.set_title(f"Seen {name}")
         set_view(ax, limits, (i, j))
@@ -127,43 +127,38 @@ def uncertainty(c: Calibration) -> Figure:
     for of_view in cells:
         of_view.set_clim(low, max(high, 1.01 * low + 1e-9))
     bar = figure.colorbar(cells[1], ax=views[1], shrink=0.95, pad=0.02, extend="max")
-    bar.set_label("standard deviation [mm]")
+    bar.set_label("U [mm]")
 
-    # The share of poses below each standard deviation, with the expected errors of the report.
-    last.ecdf(std, color=INK, lw=1.4)
-    near_measured = 1e3 * c.geometry.expected_measured
-    # That of the report, not of the poses drawn, which are more: one number for one thing.
-    everywhere = 1e3 * c.geometry.expected_everywhere
+    # The share of poses below each uncertainty, with that of the measured poses.
+    last.ecdf(expanded, color=INK, lw=1.4)
+    q = c.fit.measurements.joints_for(c.nominal.joint_names)[c.rows.estimation]
+    at_measured = 1e3 * c.uncertainty(q[:: 1 + len(q) // POSES], non_geometric=False).position
     lines = (
-        (near_measured, ":", "rms, measured poses"),
-        (everywhere, "--", "rms, joint limits"),
-        (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
+        (float(np.median(at_measured)), ":", "median, measured poses"),
+        (float(np.median(expanded)), "--", "median, joint limits"),
+        (float(np.quantile(expanded, 0.95)), "-.", "95 % of the joint limits"),
     )
     for value, style, meaning in lines:
         label = f"{value:.3f} mm: {meaning}"
         last.vlines(value, 0, 1, colors=SOFT, ls=style, lw=1.1, label=label)
-    nearly_largest = float(np.quantile(std, 0.99))
-    last.set_xlim(0.0, 1.08 * max(nearly_largest, near_measured, 1e-9))
+    nearly_largest = float(np.quantile(expanded, 0.99))
+    last.set_xlim(0.0, 1.08 * max(nearly_largest, float(np.median(at_measured)), 1e-9))
     last.set_ylim(0.0, 1.45)  # room for the legend above the curve
     last.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share}" for share in range(0, 101, 20)])
-    last.set(xlabel="standard deviation [mm]", ylabel="poses below [%]")
+    last.set(xlabel="U [mm]", ylabel="poses below [%]")
     last.set_title("Distribution over the joint limits")
     last.legend(loc="upper left", fontsize=7.5)
     legend_above(figure)
     return figure
 
 
-def predicted_places(c: Calibration, q: Array) -> Array:
-    """Return the calibrated robot's positions of the target in the base, shape (N, 3) [m], at joint values (N, m)."""
-    T_base_tip = c.robot.poses(q)
-    return np.asarray(T_base_tip[:, :3, :3] @ c.target + T_base_tip[:, :3, 3])
-
-
-def _draw_cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
-    """Draw the rms of standard deviations (N,) [mm] at places (N, 2) [mm] in each hexagon of a view; return hexagons.
+def _draw_cells(ax: Axes, places: Array, expanded: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
+    """Draw the rms of uncertainties (N,) [mm] at places (N, 2) [mm] in each hexagon of a view; return hexagons.
 
     The view's least and greatest corner are ``limits``, (2, 2) [mm].
     """
+    from matplotlib.colors import LinearSegmentedColormap
+
     size = limits[1] - limits[0]
     across, up = _CELLS * size / np.max(size)
     columns = max(int(across), 4)
@@ -171,11 +166,11 @@ def _draw_cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # n
     return ax.hexbin(
         places[:, 0],
         places[:, 1],
-        C=std**2,
+        C=expanded**2,
         reduce_C_function=lambda squares: float(np.sqrt(np.mean(squares))),
         gridsize=(columns, rows),
         extent=limits.T.ravel().tolist(),
-        cmap="cividis",
+        cmap=LinearSegmentedColormap.from_list("uncertainty", list(SURE_TO_UNSURE)),
         linewidths=0.15,
         edgecolors="face",
         zorder=2,

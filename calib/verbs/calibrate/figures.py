@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import yaml
 
+import calib.verbs.calibrate.figure_budget as budget
 import calib.verbs.calibrate.figure_coverage as coverage
 import calib.verbs.calibrate.figure_errors as errors
 import calib.verbs.calibrate.figure_images as images
@@ -99,7 +100,8 @@ FIGURES: dict[str, FigureKind] = {
         model.singular_values, lambda c: c.trust.observability.columns > 0
     ),
     "candidates": FigureKind(model.candidates, lambda c: bool(c.method.candidates)),
-    "workspace-uncertainty": FigureKind(space.uncertainty, _always),
+    "uncertainty-budget": FigureKind(budget.shares, lambda c: not c.unknown_accuracy),
+    "workspace-uncertainty": FigureKind(space.uncertainty, lambda c: not c.unknown_accuracy),
 }
 
 

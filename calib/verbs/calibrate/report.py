@@ -42,6 +42,7 @@ from calib.show.blocks import (
     Verdict,
     report_date,
 )
+from calib.show.budget_table import budget_sentences, budget_table
 from calib.show.error_tables import ERROR_COLUMNS, ErrorColumn, ErrorRow, error_table, error_title
 from calib.show.first_page import FirstPage, robot_name
 from calib.show.lines import deg, mm, plural, times
@@ -136,12 +137,14 @@ def report(
         Section(partial(_rows_and_places, c), on=TERMINAL),
         Section(lambda: [tables.models(c), *_evidence_note(c)], on=TERMINAL),
         Section(partial(_facts, c), on=TERMINAL),
+        Section(partial(_uncertainty, c), "Uncertainty"),
+        Section(partial(figures, "uncertainty"), on=HTML),
         Section(partial(_parameters_in_words, c), "Parameters", on=HTML),
         Section(partial(_parameters, c)),
         Section(partial(figures, "parameters"), on=HTML),
         Section(lambda: [tables.dh(c), tables.origins(c)], "Geometry before and after", on=HTML),
         Section(partial(_outliers, c), "Outliers", on=HTML),
-        Section(partial(_identifiability, c), "Identifiability and uncertainty", on=HTML),
+        Section(partial(_identifiability, c), "Identifiability", on=HTML),
         Section(partial(figures, "unknown"), on=HTML),
         Section(partial(figures, "candidates"), "Models tried", on=HTML),
         Section(partial(_measurements, c), "Measurements", on=HTML),
@@ -319,6 +322,16 @@ def _facts(c: Calibration) -> Iterator[Block]:
     combinations = [combination_text(one) for one in c.trust.observability.unidentifiable]
     lead = f"{texts.unidentifiable_text(c)}:"
     yield Bullets(combinations, lead, "  ", _MOST_COMBINATIONS, tight=True)
+
+
+def _uncertainty(c: Calibration) -> Iterator[Block]:
+    """Tabulate the uncertainty budget of the corrected URDF, and word what it means; nothing if it is not known."""
+    if c.unknown_accuracy:
+        return
+    budget = c.budget(non_geometric=False)
+    angles = "rad" in c.rows.channels.present
+    yield budget_table(budget, angles=angles)
+    yield Bullets(list(budget_sentences(budget, angles=angles)), tight=True)
 
 
 def _parameters_in_words(c: Calibration) -> Iterator[Block]:

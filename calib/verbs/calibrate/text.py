@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-import calib.data.kinds as registry
 from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.values import one_line
 from calib.fit.registration.rows import USUAL_POSE_NOISE
@@ -15,7 +14,7 @@ from calib.model.error_model import FRAME, TARGET
 from calib.model.families import FAMILIES
 from calib.numerics.correlated_noise import PoseNoise
 from calib.result.board_errors import BoardErrors
-from calib.result.calibration import Calibration
+from calib.result.calibration import ENOUGH_FREEDOM, Calibration
 from calib.result.fitted_model import ParameterEstimate
 from calib.result.parts import Outlier
 from calib.show.error_tables import measured_lengths
@@ -28,8 +27,12 @@ _MOSTLY = 0.71
 #: Outliers, or their images, that are listed; the others are counted.
 _LISTED = 12
 
-#: Degrees of freedom from which on the noise is estimated from the rows, not from its prior.
-_ENOUGH_FREEDOM = 6.0
+#: Why the accuracy of a result is not known, by `Calibration.unknown_accuracy`.
+_UNKNOWN = {
+    "verdict": "see the verdict",
+    "rows": "too few rows",
+    "stops": "end stops tell nothing of lengths",
+}
 
 #: A prior standard deviation below this is shown as none [mm, mrad, urad/Nm]: the last digit shown.
 _NOTHING = 2e-3
@@ -94,14 +97,8 @@ def facts(c: Calibration) -> dict[str, str]:
             per = _per_scalar(c.rows.channels, unit)
             result[SCATTER] = f"{with_unit(scatter, unit)} {per} ({freedom:.0f} d.o.f.)."
 
-    if c.cross_validation is None and c.verdict is not None:
-        # A usual mistake explains the rows, or a frame was not found: what was fitted does not exist.
-        result[EXPECTED] = "not known: see the verdict."
-    elif c.cross_validation is None and c.noise.freedom < _ENOUGH_FREEDOM:
-        # Prior standard deviations estimated from nothing shrink to nothing, and the expected error with them.
-        result[EXPECTED] = "not known: too few rows."
-    elif all(registry.get(kind).of_joint for kind in c.rows.kinds):
-        result[EXPECTED] = "not known: end stops tell nothing of lengths."
+    if c.unknown_accuracy:
+        result[EXPECTED] = f"not known: {_UNKNOWN[c.unknown_accuracy]}."
     else:
         near, everywhere = c.new_point
         result[EXPECTED] = (
@@ -149,7 +146,7 @@ def noise_text(c: Calibration) -> str:
         for unit, std in c.noise.sigma.items()
     ]
     source = "mostly assumed: too few rows"
-    if c.noise.freedom >= _ENOUGH_FREEDOM:
+    if c.noise.freedom >= ENOUGH_FREEDOM:
         source = f"from residuals, {c.noise.freedom:.0f} d.o.f."
     return f"{listed(noise)} (1 sigma, {source})."
 

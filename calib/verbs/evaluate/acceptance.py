@@ -40,6 +40,7 @@ from calib.verbs.evaluate.evaluation import (
     evaluate,
     moved_place,
     registration_rows,
+    with_uncertainty,
 )
 
 Outcome = Literal["pass", "undecided", "fail"]
@@ -327,11 +328,18 @@ def assess(
         if calibration.rows.nominal_is_judged:
             known = calibration.nominal_setup
             evaluations["nominal"] = evaluate(nominal, table, cell, known=known, which=which)
-        evaluations["urdf"] = evaluate(robot, table, cell, known=setup, which=which)
-        evaluations["calibration"] = evaluate(corrected, table, cell, known=setup, which=which)
+        as_it_is = evaluate(robot, table, cell, known=setup, which=which)
+        calibrated = evaluate(corrected, table, cell, known=setup, which=which)
+        calibrated = with_uncertainty(calibrated, calibration, cell, which)
+        if np.array_equal(as_it_is.residual, calibrated.residual):
+            as_it_is = replace(as_it_is, uncertainty=calibrated.uncertainty)
+        evaluations |= {"urdf": as_it_is, "calibration": calibrated}
         if calibration.non_geometric is not None:
-            evaluations["non_geometric"] = evaluate(
+            by_model = evaluate(
                 nominal, table, cell, which=which, non_geometric=calibration.non_geometric
+            )
+            evaluations["non_geometric"] = with_uncertainty(
+                by_model, calibration, cell, which, non_geometric=True
             )
         seen = fitted_rows(calibration, robot, table, cell)
 

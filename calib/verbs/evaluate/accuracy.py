@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -63,6 +63,8 @@ class PoseFigures(Value):
     rp_axis: Array
     #: Largest error of a single repeat
     single: float
+    #: Expanded uncertainty of ``ap``, of prediction and measurement together; NaN where it is not known
+    U: float = np.nan
 
 
 #: Figures at a pose that has none in a unit.
@@ -118,6 +120,10 @@ class Accuracy:
     unknowns: int
     #: Number of scalars that these were registered to, repeats counted once
     numbers: int
+    #: Numbers of the judged rows whose error exceeds its U, by unit
+    beyond: Mapping[str, tuple[int, ...]] = field(default_factory=ReadOnlyMapping)
+    #: Number of the judged rows whose U is known, by unit
+    known: Mapping[str, int] = field(default_factory=ReadOnlyMapping)
 
     @property
     def factor(self) -> float:
@@ -132,6 +138,11 @@ class Accuracy:
         if freedom <= 0:
             return np.inf
         return float(np.sqrt(self.numbers / freedom))
+
+    @property
+    def has_uncertainty(self) -> bool:
+        """True if U is known of some judged row."""
+        return any(self.known.values())
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -231,6 +242,12 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
             unknowns += len(directions)
     # Repeats of a pose count once.
     chosen = measured & registration
+    beyond, known = {}, {}
+    for unit in evaluation.channels.present:
+        has_uncertainty = judged & np.isfinite(evaluation.expanded(unit))
+        is_beyond = has_uncertainty & ~evaluation.within(unit)
+        beyond[unit] = tuple(np.array(m.rows)[is_beyond].tolist())
+        known[unit] = int(np.sum(has_uncertainty))
     _, first_of_pose = np.unique(rows.poses[chosen], return_index=True)
     one_per_pose = np.flatnonzero(chosen)[first_of_pose]
     return Accuracy(
@@ -243,6 +260,8 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
         registered=() if apart else evaluation.registered,
         unknowns=unknowns,
         numbers=int(np.sum(rows.used[one_per_pose])),
+        beyond=ReadOnlyMapping(beyond),
+        known=ReadOnlyMapping(known),
     )
 
 
@@ -273,7 +292,10 @@ def _poses(evaluation: Evaluation, rows: Rows, judged: Mask) -> tuple[PoseAccura
         for unit in channels.present:
             columns, _ = channels.vector_columns(unit)
             errors = residual[repeats][:, channels.columns(unit)]
-            by_unit[unit] = _figures(errors, unit, are_vectors=bool(len(columns)))
+            figures = _figures(errors, unit, are_vectors=bool(len(columns)))
+            if evaluation.uncertainty is not None:
+                figures = replace(figures, U=evaluation.uncertainty.of_mean(unit, repeats))
+            by_unit[unit] = figures
         first = repeats[0]
         poses.append(
             PoseAccuracy(

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.basics.arguments import check_names, check_path, check_type
 from calib.basics.arrays import Array, Mask, read_only
-from calib.basics.channels import Channels
+from calib.basics.channels import RESIDUAL_UNITS, Channels
 from calib.basics.frames import Library, frame_of
 from calib.basics.jobs import one_blas_thread
 from calib.basics.values import ReadOnlyMapping, Value, shown_by
@@ -42,6 +42,7 @@ from calib.result.result_frames import error_columns
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 from calib.show.measured_rows import chains_of_rows
+from calib.verbs.evaluate.row_uncertainty import RowUncertainty, matching, row_uncertainty
 
 #: Places that may be taken from an earlier result.
 PLACES = ("frame", "target")
@@ -155,6 +156,8 @@ class Evaluation(Value):
     boards: Mapping[str, Board] = field(default_factory=ReadOnlyMapping)
     #: Errors of images in pixels and at the board; None without images
     images: ImageFigures | None = None
+    #: Uncertainty of the rows' errors; None unless a calibration predicts them
+    uncertainty: RowUncertainty | None = None
 
     def __repr__(self) -> str:
         """One line: the robot, rms errors, number of rows."""
@@ -191,7 +194,9 @@ class Evaluation(Value):
         return Path(report.write_evaluation_report(self, accepted, path, overwrite=overwrite))
 
     def to_frame(self, library: Library = "pandas") -> Any:  # noqa: ANN401  of any library
-        """Return the rows with their errors and residuals [mm], [deg], [px], as a frame.
+        """Return the rows with their errors, residuals, and U of the errors [mm], [deg], [px], as a frame.
+
+        U is in it if a calibration predicts the rows, with whether each error is within.
 
         Args:
             library: ``"pandas"`` or ``"polars"``.
@@ -212,12 +217,40 @@ class Evaluation(Value):
         }
         errors = error_columns({self.robot.name: self.residual}, self.channels)
         own = {name.removeprefix(f"{self.robot.name} "): values for name, values in errors.items()}
-        return frame_of({**names, **own}, library)
+        expanded: dict[str, list[Any]] = {}
+        for unit in self.channels.present if self.uncertainty is not None else ():
+            shown = RESIDUAL_UNITS[unit]
+            U, within = self.expanded(unit), self.within(unit)
+            known = np.isfinite(U) & np.isfinite(self.channels.norms(self.residual, unit))
+            for label, values in (
+                (f"U [{shown.shown}]", U * shown.to_shown),
+                (f"within U of {shown.measured}", within),
+            ):
+                pairs = zip(values.tolist(), known.tolist(), strict=True)
+                expanded[label] = [value if is_known else None for value, is_known in pairs]
+        return frame_of({**names, **own, **expanded}, library)
 
     @property
     def used(self) -> Mask:
         """True for the entries of the residual that were measured, shape (N, D)."""
         return self.channels.used
+
+    def expanded(self, unit: str) -> Array:
+        """Return U of each row's error, of prediction and measurement together, in a unit; shape (N,).
+
+        Args:
+            unit: Symbol of the unit, ``"m"``, ``"rad"`` or ``"px"``.
+
+        Returns:
+            What the error stays below with 95.45 %, as k = 2 has it; NaN where it is not known.
+        """
+        if self.uncertainty is None:
+            return read_only(np.full(len(self.measurements), np.nan))
+        return self.uncertainty.of_errors(unit)
+
+    def within(self, unit: str) -> Mask:
+        """Return whether the error of each row is within its U, see `expanded`; shape (N,), False if U is not known."""
+        return np.asarray(self.channels.norms(self.residual, unit) <= self.expanded(unit))
 
     @property
     def errors(self) -> dict[str, Errors]:
@@ -290,15 +323,15 @@ def evaluate(
             has a station that it lacks and whose frame is not to be registered; targets are taken from a result of
             several hands that lacks one of the table's; or ``which`` has another name.
     """
+    result: Calibration | None = None
     if calibration is not None:
         check_type("calibration", calibration, (Calibration, str, Path), _RESULT)
         if known is not None:
             raise ArgumentError(
                 "The argument 'known' is frames and targets, which 'calibration' has too. Give one of them."
             )
-        result = calibration
-        if not isinstance(result, Calibration):
-            result = Calibration.read_json(result)
+        result = calibration if isinstance(calibration, Calibration) else None
+        result = result or Calibration.read_json(str(calibration))
         stated = with_chain_of_result(cell_of(cell), result, "The calibration")
         if not isinstance(robot, Robot) and (result.nominal.branches or result.nominal.parts):
             robot = robot_with_chains_of(result.nominal, read_urdf(str(robot)), stated.held)
@@ -354,7 +387,7 @@ def evaluate(
         scale = rows.lengths_per_unit(sightings)
         board = board_errors(rows, sightings, residual)
         images = ImageFigures.of(residual, scale, rows, table.images, board)
-    return Evaluation(
+    evaluation = Evaluation(
         robot=arm,
         measurements=table,
         setup=placed,
@@ -366,6 +399,40 @@ def evaluate(
         boards=known_cell.boards,
         images=images,
     )
+    if result is None:
+        return evaluation
+    by_model = non_geometric is not None
+    return with_uncertainty(evaluation, result, known_cell, which, non_geometric=by_model)
+
+
+def with_uncertainty(
+    evaluation: Evaluation,
+    result: Calibration,
+    cell: Cell,
+    which: tuple[str, ...] = PLACES,
+    *,
+    non_geometric: bool = False,
+) -> Evaluation:
+    """Return the evaluation of a calibrated robot with the uncertainty of its rows' errors.
+
+    Args:
+        evaluation: Errors of the robot.
+        result: The calibration that it is of.
+        cell: Loads and noise of the rows.
+        which: Places that are the result's, ``"frame"``, ``"target"`` or both.
+        non_geometric: Whether the non-geometric model of the result predicts; else its geometry.
+    """
+    in_images = replace(cell, cameras=evaluation.cameras, boards=evaluation.boards)
+    uncertainty = row_uncertainty(
+        result,
+        evaluation.robot,
+        evaluation.measurements,
+        in_images,
+        evaluation.setup,
+        which=which,
+        non_geometric=non_geometric,
+    )
+    return replace(evaluation, uncertainty=uncertainty)
 
 
 def _refuse_unknown_mounts(robot: Robot) -> None:
@@ -439,10 +506,10 @@ def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
     frame_index: dict[int, int] = {}
     target_index: dict[int, int] = {}
     if "frame" in which:
-        frame_index = _match(setup.groups, known.groups)
+        frame_index = matching(setup.groups, known.groups)
     if "target" in which:
         other_target = setup.targets[0] != DEFAULT_TARGET
-        target_index = _match(setup.targets, known.targets, by_name=other_target)
+        target_index = matching(setup.targets, known.targets, by_name=other_target)
     T_frame_base, T_tip_target = setup.T_frame_base.copy(), setup.T_tip_target.copy()
     for k, of_result in frame_index.items():
         T_frame_base[k] = known.T_frame_base[of_result]
@@ -471,18 +538,6 @@ def _with_known(setup: Setup, known: Setup, which: tuple[str, ...]) -> Setup:
         frame_given=setup.frame_given | frame_known,
         target_given=np.where(target_known, fixed, setup.target_given),
     )
-
-
-def _match(
-    names: tuple[str, ...], known: tuple[str, ...], *, by_name: bool = False
-) -> dict[int, int]:
-    """Return the index of each name in a result by its index in the table, both from 0; names it lacks are left out.
-
-    If both have one name only, these are matched whatever they are, unless ``by_name``.
-    """
-    if len(names) == len(known) == 1 and not by_name:
-        return {0: 0}
-    return {k: known.index(name) for k, name in enumerate(names) if name in known}
 
 
 def moved_place(

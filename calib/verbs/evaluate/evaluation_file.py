@@ -88,6 +88,11 @@ def accuracy_table(
         "repeats_min": low,
         "repeats_max": high,
         **figures,
+        "U": {
+            unit: {"rows": known, "within": known - len(beyond), "beyond": beyond}
+            for unit, known in accuracy.known.items()
+            for beyond in [accuracy.beyond[unit]]
+        },
         "characteristics": [asdict(characteristic) for characteristic in characteristics],
         "poses": poses,
     }

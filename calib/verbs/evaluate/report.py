@@ -45,6 +45,7 @@ from calib.verbs.evaluate.text import (
     outcome_reasons,
     place_sentences,
     rule_sentences,
+    uncertainty_sentences,
 )
 
 
@@ -142,7 +143,13 @@ def report(
         Section(errors, on=TERMINAL | NOTEBOOK),
         Section(partial(_images, e), on=TERMINAL),
         Section(partial(_accuracy, e), "Accuracy and repeatability"),
-        Section(lambda: [tables.poses(e, named_robot(e.judged, origins.result))], "Poses"),
+        Section(
+            lambda: [
+                tables.poses(e, named_robot(e.judged, origins.result)),
+                Bullets(list(uncertainty_sentences(e.accuracies[e.judged])), tight=True),
+            ],
+            "Poses",
+        ),
         Section(lambda: [Paragraph(hint)], on=TERMINAL),
         Section(errors, "Errors of all rows", on=HTML),
         Section(lambda: [_measurements(e), places], "Measurements", on=HTML),

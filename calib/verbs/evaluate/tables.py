@@ -229,8 +229,8 @@ def missing(found: Sequence[Characteristic]) -> list[str]:
 def poses(e: Assessment, robot: str) -> Table:
     """Tabulate the poses of the judged robot, the worst first.
 
-    With an acceptance the worst pose uses most of its tolerance, and a terminal has the table, too; otherwise it has
-    the largest AP in the first unit that was measured, and the table is for HTML alone.
+    With an acceptance the worst pose uses most of its tolerance; otherwise it has the largest AP in the first unit that
+    was measured. A terminal has the table if there is an acceptance, or if U is known.
 
     Args:
         e: The evaluation.
@@ -243,6 +243,8 @@ def poses(e: Assessment, robot: str) -> Table:
         of_unit = RESIDUAL_UNITS[unit]
         axes = "xyz" if of_unit.shows_span else ""
         columns.append(residual_column(f"AP [{of_unit.shown}]", unit, 8))
+        columns.append(replace(residual_column("U", unit, 7), optional=True))
+        columns.append(Column("", left=True, optional=True))
         columns += [residual_column(head, unit, 7) for head in (*axes, "RP")]
         if unit == units[0]:
             columns.append(residual_column("single", unit, 7))
@@ -262,24 +264,30 @@ def poses(e: Assessment, robot: str) -> Table:
         cells: list[Cell] = [textwrap.shorten(label, _LABEL, placeholder="..."), len(pose.rows)]
         for unit in units:
             figures = pose[unit]
-            cells.append(figures.ap)
+            cells += [figures.ap, figures.U, "> U" if figures.ap > figures.U else ""]
             if RESIDUAL_UNITS[unit].shows_span:
                 cells += figures.ap_axis.tolist()
             cells.append(figures.rp)
             if unit == units[0]:
                 cells.append(figures.single)
         rows.append(cells)
-    has_axes = any(RESIDUAL_UNITS[unit].shows_span for unit in units)
+    notes = []
+    if any(RESIDUAL_UNITS[unit].shows_span for unit in units):
+        notes.append("x, y, z: the mean error along the axes of the base.")
+    if judged.has_uncertainty:
+        notes.append(
+            "U: what AP stays below with 95.45 % (as k = 2), by the uncertainties of prediction and measurement."
+        )
     return Table(
         f"Poses, the worst first, of {robot}",
         columns,
         rows,
-        "x, y, z: the mean error along the axes of the base." if has_axes else "",
+        " ".join(notes),
         most={TERMINAL: 10, HTML: MOST_LISTED},
         elsewhere="the file of --json",
         title_above=True,
         indent="  ",
-        on=HTML if e.accepted is None else HTML | TERMINAL,
+        on=HTML | TERMINAL if e.accepted is not None or judged.has_uncertainty else HTML,
     )
 
 

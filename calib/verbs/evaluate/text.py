@@ -10,11 +10,11 @@ import calib.data.kinds as registry
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import one_line
 from calib.errors import choices
-from calib.show.lines import listed, mm, plural, times
+from calib.show.lines import listed, mm, plural, row_ranges, times
 from calib.show.verdict_text import reason_text
 from calib.show.words import chain_name, outside_text, rms_text, shown, with_unit
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment, Check
-from calib.verbs.evaluate.accuracy import FEWEST_APART, PoseAccuracy
+from calib.verbs.evaluate.accuracy import FEWEST_APART, Accuracy, PoseAccuracy
 from calib.verbs.evaluate.evaluation import Evaluation
 
 #: Repeats of each pose that ISO 9283 asks for.
@@ -109,6 +109,23 @@ def place_sentences(e: Assessment, source: str) -> list[str]:
         label = "Measurement frames" if len(setup.groups) > 1 else "Measurement frame"
         sentences.append(f"{label}: registered to the rows.")
     return sentences
+
+
+def uncertainty_sentences(accuracy: Accuracy) -> Iterator[str]:
+    """Word in each unit how many of the judged rows have an error within its U, and which are beyond."""
+    counted = {unit: known for unit, known in accuracy.known.items() if known}
+    for unit, known in counted.items():
+        beyond = accuracy.beyond[unit]
+        measured = RESIDUAL_UNITS[unit].measured
+        of = f" of {measured}" if unit != "m" else ""
+        text = f"{known - len(beyond)} of {plural(known, 'row')} {'is' if known == 1 else 'are'} within U{of}"
+        text += f", beyond: {row_ranges(beyond)}." if beyond else "."
+        if unit == next(iter(counted)):
+            text += (
+                " U is the expanded uncertainty (95.45 %, as k = 2) of a row's error: that of the prediction, with "
+                "what the model lacks, and that of the measurement together."
+            )
+        yield text
 
 
 def outcome_reasons(e: Assessment, result: str) -> Iterator[str]:

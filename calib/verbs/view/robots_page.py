@@ -28,7 +28,8 @@ from calib.data.inputs import ROBOT, RobotInput, robot_of
 from calib.result.calibration import Calibration
 from calib.result.calibration_file import RESULT, is_result_file, result_of
 from calib.robot.robot import Robot
-from calib.show.look import BEAM, ESTIMATION, OUTLIER, VALIDATION
+from calib.show.lines import mm
+from calib.show.look import BEAM, ESTIMATION, OUTLIER, SURE_TO_UNSURE, VALIDATION
 from calib.show.scene.html_page import COLOURS, LegendEntry, Page, fill_page, floats
 from calib.show.scene.posed_robot import (
     PosedRobot,
@@ -38,7 +39,16 @@ from calib.show.scene.posed_robot import (
     read_visuals,
     translation,
 )
-from calib.show.scene.scene import SCENE, draw_robot, new_scene, solid, span
+from calib.show.scene.scene import (
+    SCENE,
+    blended,
+    draw_coloured,
+    draw_robot,
+    new_scene,
+    solid,
+    span,
+)
+from calib.show.uncertainty_map import UncertaintyMap
 from calib.verbs.view.arrangement import Arrangement, arrange, outline_of
 from calib.verbs.view.camera_images import draw_cameras, images_table
 from calib.verbs.view.view import View, view_of, view_of_result, view_of_robots
@@ -58,6 +68,9 @@ _ARROW = 0.12
 
 #: Factors that arrows and the robots' difference can be magnified by.
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+
+#: Edge of a dot of the map of uncertainty, as a fraction of the scene's size.
+_MAP_DOT = 0.008
 
 #: Colour of the path from pose to pose.
 WAY_COLOUR = "#5b6775"
@@ -234,6 +247,8 @@ def view_page(view: View, *, about: About | None = None) -> Page:
         keys += [key._replace(nodes=f"nominal/{key.nodes}") for key in drawn]
     if images is not None:
         keys.append(draw_cameras(scene, shown, images))
+    if view.uncertainty is not None:
+        keys.append(_draw_map(scene.root[SCENE], list(shown)[-1], view.uncertainty, size))
 
     names = [name.lower() for name, _ in view.names[: len(shown)]]
     html = fill_page(
@@ -255,6 +270,21 @@ def view_page(view: View, *, about: About | None = None) -> Page:
         table=script_table(view, shown) | _places_table(places, factor, about),
     )
     return Page(html, tuple(warnings))
+
+
+def _draw_map(
+    robots: meshcat.Visualizer, who: str, shown: UncertaintyMap, size: float
+) -> LegendEntry:
+    """Draw the uncertainty over the joint limits around a robot in a scene of a size [m]; return its legend entry.
+
+    It is hidden at first.
+    """
+    colours = blended(SURE_TO_UNSURE, shown.shares)
+    draw_coloured(robots[who]["uncertainty"], shown.places, colours, _MAP_DOT * size)
+    low, high = (mm(value) for value in shown.scale)
+    text = f"U of the target (95.45 %), {low} to {high} mm: {len(shown.places)} poses in the joint limits"
+    gradient = f"linear-gradient(90deg, {', '.join(SURE_TO_UNSURE)})"
+    return LegendEntry(text, gradient, f"{who}/uncertainty", "scale", on=False)
 
 
 def pose_robots(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, PosedRobot]:

@@ -25,6 +25,7 @@ from calib.robot.robot import Robot
 from calib.show.measured_rows import chains_of_rows, measured_in_base, setup_of_rows
 from calib.show.robot_sentences import other_run_sentence
 from calib.show.scene.posed_robot import Visual, chain_bases, creased, stands, translation
+from calib.show.uncertainty_map import UncertaintyMap, uncertainty_map
 from calib.show.verdict_text import do_not_use_text, reason_text
 from calib.verbs.evaluate.evaluation import PLACES, Evaluation, evaluate
 from calib.verbs.view.camera_images import CameraImages, camera_images
@@ -41,6 +42,9 @@ Names = Sequence[tuple[str, str]]
 
 #: Poses of two robots without a table.
 _POSES = 24
+
+#: Poses at which the uncertainty over the joint limits is shown: they add 30 kB to a page.
+_MAP_POSES = 800
 
 #: Poses of each joint of a robot alone.
 _POSES_PER_JOINT = 9
@@ -111,6 +115,8 @@ class View:
     note: str = ""
     #: Name and description of each robot
     names: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
+    #: Uncertainty of the target over the joint limits, with the targets' places in the scene; None: it is not shown
+    uncertainty: UncertaintyMap | None = None
     #: Facts shown in words for each pose, by their names: N texts, such as a joint's values with their unit
     numbers: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
@@ -195,7 +201,7 @@ def view_of(calibration: Calibration, *, accepted: bool = False) -> View:
         meaning = "as fitted, not to be used: no URDF is written"
     names = (view.names[0], ("Calibrated", f"{meaning} (run {c.run})"))
     title = f"{c.nominal.name or 'Robot'}: nominal and calibrated"
-    return _with_verdict(replace(view, title=title, names=names), c)
+    return _with_verdict(replace(_with_map(view, c), title=title, names=names), c)
 
 
 def view_of_result(
@@ -259,9 +265,30 @@ def view_of_result(
     if _same_origins(before, after):
         origins = "unchanged: no joint origin was corrected"
     names = (("Nominal", "before the calibration"), ("Calibrated", f"{origins} (run {result.run})"))
-    view = _with_verdict(replace(view, names=names), result)
+    view = _with_verdict(replace(_with_map(view, result), names=names), result)
     other_run = other_run_sentence(robot, result, source)
     return replace(view, note=" ".join(filter(None, [view.note, other_run])))
+
+
+def _with_map(view: View, result: Calibration) -> View:
+    """Return the view with the uncertainty of the target over the joint limits, if it is known.
+
+    On a robot whose base moves the instrument is carried, and the map is at its places.
+    """
+    if result.unknown_accuracy:
+        return view
+    found = uncertainty_map(result, _MAP_POSES)
+    robot = view.calibrated or view.nominal
+    if (robot.base, robot.tip) == (result.nominal.base, result.nominal.tip):
+        T_scene_base = chain_bases(robot, found.q, None)
+        places = np.einsum("nij,nj->ni", T_scene_base[:, :3, :3], found.places)
+        places = places + T_scene_base[:, :3, 3]
+    else:
+        T_tip_frame = rigid_inverse(result.robot.poses(found.q)) @ rigid_inverse(
+            result.T_frame_base
+        )
+        places = T_tip_frame[:, :3, 3]
+    return replace(view, uncertainty=replace(found, places=places))
 
 
 def _same_origins(robot: Robot, other: Robot) -> bool:

@@ -11,6 +11,7 @@ from meshcat import geometry as mc
 from calib.show.scene.scene import (
     _FOV_DEG,
     SceneWindow,
+    blended,
     look_at,
     rod_between,
 )
@@ -61,3 +62,8 @@ def test_a_rod_lies_between_its_ends(end):
     T = rod_between(start, end)
     np.testing.assert_allclose((T @ [0, 0, 0.5, 1])[:3], end, atol=1e-12)
     np.testing.assert_allclose((T @ [0, 0, -0.5, 1])[:3], start, atol=1e-12)
+
+
+def test_colours_are_blended_along_the_scale():
+    colours = blended(("#000000", "#ff0000", "#ffffff"), np.array([0.0, 0.25, 0.5, 1.0]))
+    np.testing.assert_allclose(colours, [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [1, 1, 1]])

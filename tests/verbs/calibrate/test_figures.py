@@ -15,7 +15,10 @@ from calib.verbs.calibrate.figures import CAPTIONS, drawings, write_figures
 #: Figures that are soon drawn.
 QUICK = ("error-curves", "singular-values")
 
-ALWAYS = ["points", "histograms", "singular-values", "workspace-uncertainty"]
+ALWAYS = ["points", "histograms", "singular-values"]
+
+#: Figures of every result whose accuracy is known.
+OF_UNCERTAINTY = {"uncertainty-budget", "workspace-uncertainty"}
 
 
 @pytest.mark.parametrize(
@@ -30,7 +33,9 @@ ALWAYS = ["points", "histograms", "singular-values", "workspace-uncertainty"]
     ],
 )
 def test_figures_are_those_that_apply(calibrations, case, present, absent):
-    names = [drawing.name for drawing in drawings(calibrations.made(case))]
+    c = calibrations.made(case)
+    names = [drawing.name for drawing in drawings(c)]
+    assert OF_UNCERTAINTY & set(names) == (set() if c.unknown_accuracy else OF_UNCERTAINTY)
     assert set(present) | set(ALWAYS) <= set(names)
     assert not set(absent) & set(names)
     assert len(set(names)) == len(names)

@@ -12,7 +12,7 @@ from calib.show.tables import Table, format_cells
 from calib.verbs.calibrate.report import report
 
 #: Columns of numbers without a unit.
-PLAIN = {"rows", "score", "weight", "used [%]"}
+PLAIN = {"rows", "score", "weight", "used [%]", "d.o.f.", "share [%]"}
 
 
 def every_table(c):

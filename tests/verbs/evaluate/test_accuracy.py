@@ -26,6 +26,7 @@ from calib.verbs.evaluate.accuracy import (
     judged_rows,
 )
 from calib.verbs.evaluate.evaluation import evaluate
+from calib.verbs.evaluate.row_uncertainty import RowUncertainty
 from tests.residuals import lengths_and_angles
 
 #: Target and frame known: what is measured minus what is predicted is what was put in.
@@ -237,3 +238,27 @@ def test_rows_are_the_same_to_rounding():
     stored = np.array([[1e-3, 2e-3], [3e-3, 4e-3]])
     shifted = stored[1] + np.array([[0.0, 0.9e-7], [0.0, 1.1e-7]])
     np.testing.assert_array_equal(_are_among(shifted, stored), [True, False])
+
+
+def test_rows_beyond_their_uncertainty_are_named_and_poses_have_that_of_their_mean(ur3):
+    """Two poses, three times each; the first is off by 0.5 mm, twice what the prediction allows."""
+    e = np.repeat([[5e-4, 0.0, 0.0], [1e-4, 0.0, 0.0]], 3, axis=0)
+    found = evaluate(ur3, with_errors(ur3, e, 3), KNOWN)
+    std = 2.5e-4 / 2.8332  # along each axis: 95.45 % of the lengths are within 0.25 mm
+    uncertainty = RowUncertainty(
+        np.repeat([std**2 * np.eye(3)], 6, axis=0),
+        np.zeros((6, 3)),
+        {"m": np.full(6, np.inf)},
+        found.channels,
+    )
+    judged = accuracy(replace(found, uncertainty=uncertainty))
+    assert judged.beyond == {"m": (1, 2, 3)}
+    assert judged.known == {"m": 6}
+    assert [pose["m"].U for pose in judged.poses] == pytest.approx([2.5e-4] * 2, rel=1e-3)
+    # With noise as large as the prediction's, of which a mean of three has a third.
+    noisy = replace(uncertainty, measured=np.full((6, 3), std))
+    poses = accuracy(replace(found, uncertainty=noisy)).poses
+    assert pytest.approx(2.5e-4 * np.sqrt(4 / 3), rel=1e-3) == poses[0]["m"].U
+    without = accuracy(found)
+    assert not without.has_uncertainty
+    assert np.isnan(without.poses[0]["m"].U)

@@ -77,6 +77,10 @@ def test_a_result_may_be_its_file_and_the_robot_a_path(calibrated, tmp_path):
     table = found.to_frame()
     rms = np.sqrt(np.mean(table["error [mm]"] ** 2))
     assert rms == pytest.approx(1e3 * found.errors["all"]["m"].rms, rel=1e-12)
+    # U is in it, since a calibration predicts the rows.
+    np.testing.assert_allclose(table["U [mm]"], 1e3 * found.expanded("m"))
+    np.testing.assert_array_equal(table["within U of position"], found.within("m"))
+    assert not any("U" in name for name in evaluate(c.nominal, frame).to_frame().columns)
     with pytest.raises(ArgumentError, match="Give one of them"):
         evaluate(c.nominal, frame, calibration=c, known=c.setup)
     with pytest.raises(ArgumentError):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -115,3 +117,22 @@ def test_poses_are_listed_from_the_worst_on_without_a_tolerance_too(repeated: As
     lines = blocks_text([table]).splitlines()
     assert len(lines) == 2 + 10 + 1
     assert lines[2].split()[-7:] == rows[0][1:]
+
+
+def test_poses_beyond_their_uncertainty_are_marked(assessment: Assessment):
+    known = assessment.accuracies["urdf"]
+    middle = float(np.median(known.of("ap", "m")))
+    marked = [
+        replace(pose, by_unit={**pose.by_unit, "m": replace(pose["m"], U=middle)})
+        for pose in known.poses
+    ]
+    found = replace(known, poses=tuple(marked), known={"m": 30}, beyond={"m": ()})
+    table = poses(replace(assessment, accuracies={"urdf": found}), "the URDF")
+    columns, rows = format_cells(table.columns, table.rows)
+    heads = [column.head for column in columns]
+    assert heads[2:5] == ["AP [mm]", "U", ""]
+    assert [row[4] for row in rows] == ["> U"] * 3 + [""] * 3
+    assert {row[3] for row in rows} == {mm(middle)}
+    # Without U the table has neither column.
+    table = poses(assessment, "the URDF")
+    assert "U" not in [column.head for column in format_cells(table.columns, table.rows)[0]]

@@ -14,8 +14,10 @@ from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.show.lines import mm
 from calib.verbs.evaluate.acceptance import Assessment, assess
+from calib.verbs.evaluate.accuracy import accuracy
+from calib.verbs.evaluate.evaluation import evaluate
 from calib.verbs.evaluate.report import Origins, summary
-from calib.verbs.evaluate.text import outcome_reasons
+from calib.verbs.evaluate.text import outcome_reasons, uncertainty_sentences
 
 KNOWN = Cell(target=(0.0, 0.0, 0.0), estimate_target=False)
 
@@ -108,3 +110,13 @@ def test_a_calibration_that_is_no_better_by_its_figure_is_said(assessment: Asses
         both = replace(assessment, accuracies={**assessment.accuracies, "nominal": nominal})
         said = " ".join(outcome_reasons(both, "result.json"))
         assert ("0.500 mm: by this figure" in said) == is_said
+
+
+def test_rows_beyond_their_uncertainty_are_counted_and_named(ur3):
+    judged = accuracy(evaluate(ur3, measured(ur3, 1e-4 * np.arange(1, 13)), KNOWN))
+    (sentence,) = uncertainty_sentences(
+        replace(judged, known={"m": 36, "rad": 0}, beyond={"m": (4, 5, 6, 9), "rad": ()})
+    )
+    assert "32 of 36 rows" in sentence
+    assert "4 to 6, 9" in sentence
+    assert not list(uncertainty_sentences(judged))

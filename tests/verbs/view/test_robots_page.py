@@ -14,8 +14,9 @@ import pytest
 
 import calib
 from calib.errors import FileError
-from calib.show.look import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
+from calib.show.look import CALIBRATED, NOMINAL, OUTLIER, SURE_TO_UNSURE, VALIDATION
 from calib.show.scene.posed_robot import packed, read_visuals, translation
+from calib.show.uncertainty_map import UncertaintyMap
 from calib.verbs.view.robots_page import (
     FACTORS,
     magnification,
@@ -144,6 +145,36 @@ def test_typical_arrows_are_well_visible(ur3, ur3_view):
     kinds = ("flagged",) * 15 + ur3_view.kinds[15:]
     assert magnification(replace(with_points(ur3_view, wild), kinds=kinds), 1.0) == factor
     assert magnification(View(ur3, ur3, np.zeros((2, 6))), 1.0) == 1
+
+
+def test_the_map_of_uncertainty_is_a_dot_for_each_pose_and_off_at_first(view):
+    position = np.linspace(1e-4, 5e-4, 3)
+    places = np.array([[0.0, 0.1, 0.2], [0.3, 0.4, 0.5], [0.6, 0.7, 0.8]])
+    shown = UncertaintyMap(np.zeros((3, 3)), places, position)
+    page = view_page(replace(view, uncertainty=shown))
+    scene = scene_of(page)
+    (dots,) = [
+        c
+        for c in scene["commands"]
+        if c["type"] == "set_object" and c["path"] == "/robots/calibrated/uncertainty"
+    ]
+    (name,) = dots["object"]["geometries"]
+    attributes = scene["geometries"][name]["data"]["attributes"]
+    at, colours = (
+        np.frombuffer(attributes[key]["array"].data, dtype="<f4").reshape(3, 3)
+        for key in ("position", "color")
+    )
+    np.testing.assert_allclose(at, places, atol=1e-6)
+    first, last = (
+        [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+        for colour in (SURE_TO_UNSURE[0], SURE_TO_UNSURE[-1])
+    )
+    np.testing.assert_allclose(colours[[0, 2]], [first, last], atol=1e-6)
+    html = page.html.decode()
+    assert '<input type="checkbox" data-show="calibrated/uncertainty">' in html
+    assert "0.100 to 0.492 mm: 3 poses" in html
+    assert len(page.html) < len(view_page(view).html) + 2000
+    assert b"calibrated/uncertainty" not in view_page(view).html
 
 
 def test_the_legend_counts_the_measured_rows(view):
@@ -301,6 +332,13 @@ def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_pa
         assert "Arrows from predicted towards measured, × 50. Robots true to scale." in header
         assert "row 5, estimation" in header
         assert "nominal 2.54 mm" in header
+
+        # The map of uncertainty comes with its box.
+        tab.evaluate("document.querySelector('[data-show*=uncertainty]').click()")
+        with_map = tab.screenshot()
+        assert np.mean(np.any(picture != with_map, axis=-1)) > 0.005
+        tab.evaluate("document.querySelector('[data-show*=uncertainty]').click()")
+        np.testing.assert_array_equal(tab.screenshot(), picture)
 
         # Without the arrows there is less of the dark blue that only they have.
         tab.evaluate("document.querySelector('[data-show*=arrows]').click()")

@@ -44,6 +44,17 @@ def distances(view: View) -> np.ndarray:
     return np.linalg.norm(view.points - view.predicted, axis=2)
 
 
+def test_the_map_of_uncertainty_is_that_of_the_result_made_here_or_read(result, stored):
+    shown = view_of(result).uncertainty
+    U = result.uncertainty(shown.q, non_geometric=False)
+    np.testing.assert_allclose(shown.position, U.position)
+    np.testing.assert_allclose(shown.places, U.poses[:, :3, 3], atol=1e-12)
+    assert len(shown.q) <= 1000
+    again = view_of_result(stored, stored.nominal).uncertainty
+    np.testing.assert_allclose(again.position, shown.position, rtol=1e-6)
+    assert view_of_robots(result.nominal, result.robot).uncertainty is None
+
+
 def test_predictions_are_those_of_the_robots_in_one_base(ur3, disturb):
     q = np.linspace(-1, 1, 12).reshape(2, 6)
     target = translation([0.0, 0.02, 0.1])
