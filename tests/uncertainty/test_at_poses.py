@@ -23,7 +23,7 @@ from calib.uncertainty.at_poses import (
     parameter_covariances,
     scale_std,
 )
-from tests.uncertainty.conftest import SIGMA, T_FRAME_BASE, table_of
+from tests.tracked import SIGMA, T_FRAME_BASE, table_of
 
 
 def part(uncertainty, source):
