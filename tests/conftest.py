@@ -28,7 +28,7 @@ hypothesis.settings.load_profile("calib")
 collect_ignore = ["many_units.py"]
 
 #: Fixtures of calibrations, tables and virtual cells.
-pytest_plugins = ["tests.fits", "tests.view_fixtures", "tests.cli_fixtures"]
+pytest_plugins = ["tests.fits", "tests.tracked", "tests.view_fixtures", "tests.cli_fixtures"]
 
 JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
 

@@ -76,11 +76,13 @@ class Calibration(Value):
         zeros            the best joint zeros alone, or None
         drift            what targets that stand still show, or None
         source, record   the table, and who measured it for whom, where and with what
+        stated_uncertainty   what is stated of instrument, arm and setup, for the budget
         fit              measurements and solved problem; fit_in_memory: the same, None if read from a file
 
     At hand without their part: ``verdict``, ``errors``, ``cross_validation``, ``new_point``, ``parameters``,
     ``covariance``, ``model``, ``setup``, ``T_frame_base``, ``target``; ``is_setup_only`` if these were all that was
     sought. ``run`` is the id that all files of the result carry, ``figures`` are the names of those that `plot` draws.
+    ``unknown_accuracy`` says why nothing tells how accurate it is; empty if `uncertainty` and `budget` mean something.
     """
 
     #: The robot as given

@@ -30,8 +30,13 @@ Beyond the measured poses errors that the model lacks do not average out: what t
 is multiplied by `FittedModel.extrapolation`, or increased by `FittedModel.undetermined`, whichever is more.
 
 Its expanded uncertainty is the length that the error of the position, or the angle that the error of the orientation,
-stays below with the probability that k = 2 stands for (`calib.uncertainty.coverage`), with the effective degrees of
-freedom of Welch and Satterthwaite (JCGM 100, G.4).
+stays below with the probability that k = 2 stands for (`calib.uncertainty.coverage`). A part u_s^2 that was estimated
+with nu_s degrees of freedom is Student's t, of variance u_s^2 nu_s / (nu_s - 2). Their sum is like the t of the same
+variance and kurtosis,
+
+    nu = 4 + (sum_s w_s)^2 / sum_s [w_s^2 / (nu_s - 4)],        w_s = u_s^2 nu_s / (nu_s - 2)
+
+which for large nu_s is Welch and Satterthwaite's (JCGM 100, G.4), and for one part is exact.
 """
 
 from __future__ import annotations
@@ -141,12 +146,12 @@ class PoseUncertainty(Value):
     @property
     def position(self) -> Array:
         """Expanded uncertainty of the position: the distance that its error stays below, shape (N,) [m]."""
-        return covered_length(self.covariance[:, :3, :3], self.position_freedom)
+        return self._expanded(_POSITION)
 
     @property
     def orientation(self) -> Array:
         """Expanded uncertainty of the orientation: the angle that its error stays below, shape (N,) [rad]."""
-        return covered_length(self.covariance[:, 3:, 3:], self.orientation_freedom)
+        return self._expanded(_ORIENTATION)
 
     def without(self, *sources: Source, share: float = 0.0) -> PoseUncertainty:
         """Return the uncertainty if the variance of some sources were a share of what it is.
@@ -163,24 +168,49 @@ class PoseUncertainty(Value):
                 parts.append(part)
         return replace(self, contributions=tuple(parts))
 
-    def _freedom(self, part: slice) -> Array:
-        """Return the effective degrees of freedom of positions or orientations, by Welch and Satterthwaite.
+    def _expanded(self, part: slice) -> Array:
+        """Return the length that errors of the position, or of the orientation, stay below, (N,)."""
+        freedom, factor = self._moments(part)
+        return covered_length(factor[:, None, None] * self.covariance[:, part, part], freedom)
 
-        The parts that the noise of the rows makes through the fit are of one estimate of this noise: they err alike.
+    def _freedom(self, part: slice) -> Array:
+        """Return the effective degrees of freedom of positions or orientations, (N,)."""
+        return self._moments(part)[0]
+
+    def _moments(self, part: slice) -> tuple[Array, Array]:
+        """Return the degrees of freedom of the t distribution that the sum of the parts is like, and its scale, (N,).
+
+        It is the factor of the covariance with which variance and kurtosis are those of the sum. The parts that the
+        noise of the rows makes through the fit are of one estimate of this noise: they err alike.
         """
-        total = np.zeros(len(self.poses))
-        shares = np.zeros(len(self.poses))
-        alike = np.zeros(len(self.poses))
+        N = len(self.poses)
+        of_rows, plain, variance, quartic = (np.zeros(N) for _ in range(4))
+        noise_freedom = np.inf
         for one in self.contributions:
-            variance = _std(one.covariance, part) ** 2
-            total = total + variance
+            square = _std(one.covariance, part) ** 2
+            plain = plain + square
             if one.source in BY_ROWS:
-                alike = alike + variance / np.sqrt(one.freedom)
-            else:
-                shares = shares + variance**2 / one.freedom
-        shares = shares + alike**2
+                of_rows = of_rows + square
+                noise_freedom = min(noise_freedom, one.freedom)
+                continue
+            spread, fourth = _t_moments(one.freedom)
+            variance = variance + spread * square
+            quartic = quartic + fourth * square**2
+        spread, fourth = _t_moments(noise_freedom)
+        variance, quartic = variance + spread * of_rows, quartic + fourth * of_rows**2
         with np.errstate(divide="ignore", invalid="ignore"):
-            return read_only(np.where(shares > 0.0, total**2 / shares, np.inf))
+            freedom = np.where(quartic > 0.0, 4.0 + variance**2 / quartic, np.inf)
+            narrower = np.where(np.isfinite(freedom), (freedom - 2.0) / freedom, 1.0)
+            factor = np.where(plain > 0.0, variance * narrower / plain, 1.0)
+        return read_only(freedom), factor
+
+
+def _t_moments(freedom: float) -> tuple[float, float]:
+    """Return the variance of Student's t, and a sixth of its fourth cumulant; 1 and 0 without limit."""
+    if not np.isfinite(freedom):
+        return 1.0, 0.0
+    nu = max(freedom, _LEAST_FREEDOM)
+    return nu / (nu - 2.0), (nu / (nu - 2.0)) ** 2 / (nu - 4.0)
 
 
 def _std(covariance: Array, part: slice) -> Array:
@@ -326,10 +356,7 @@ def _by_few(freedom: float) -> float:
 
     Such an error counts as normal with this variance (JCGM 101, 6.4.9): Welch and Satterthwaite's formula fails for it.
     """
-    if not np.isfinite(freedom):
-        return 1.0
-    nu = max(freedom, _LEAST_FREEDOM)
-    return nu / (nu - 2.0)
+    return _t_moments(freedom)[0]
 
 
 def by_stated_places(
@@ -422,7 +449,7 @@ def arrivals_of(result: Calibration, model: FittedModel) -> Arrivals:
             lacking[k], of_lacking[k] = variance_beyond(
                 float(rows.total[k]), float(rows.freedom[k]), other
             )
-            separated = separated and is_known
+            separated = separated and bool(is_known)
     return Arrivals(
         (repeatability[0], repeatability[1]),
         (of_repeatability[0], of_repeatability[1]),

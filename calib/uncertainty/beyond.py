@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtr
 
 #: Fewer degrees of freedom count as so many: an inverse chi-square then has a variance.
-_LEAST_FREEDOM = 4.5
+_LEAST_FREEDOM = 5.0
 
 #: Shares of an observed variance below which what is left is rounding.
 _NOTHING = 1e-12
@@ -27,7 +27,7 @@ def variance_beyond(observed: float, freedom: float, known: float) -> tuple[floa
 
     Args:
         observed: s^2, in the square of any unit, 0 or more.
-        freedom: Its degrees of freedom nu; below 4.5 it counts as 4.5, infinite if s^2 is known.
+        freedom: Its degrees of freedom nu; below 5 it counts as 5, infinite if s^2 is known.
         known: a, the part with another cause.
 
     Returns:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.data.cell import Cell, Priors
 from calib.data.measurements import Measurements
+from calib.numerics.rigid_motion import displacements_by
 from calib.result.calibrate import calibrate
+from calib.result.row_scatter import joint_twists
 from calib.robot.ranges import random_joint_values
 from calib.verbs.evaluate.evaluation import evaluate
 from calib.verbs.simulate.truth import draw_truth
@@ -73,3 +77,59 @@ def test_the_larger_of_two_estimates_of_what_is_lacking_counts(ur3):
     u, f = model.undetermined, model.extrapolation
     for v in (-1e-6, 0.0, 1e-9, 1e-4):
         assert model.added_variance(v) == pytest.approx(max((f if v > 0 else 1) * v, v + u * u))
+
+
+@pytest.fixture(scope="module")
+def in_a_corner(ur3):
+    """A calibration in a corner of the joint ranges, of an arm with eccentricity that the model lacks."""
+    return calibrated_in_part(ur3, 0.12, 3, estimate_frame=False)[0]
+
+
+def test_the_covariance_of_the_families_is_that_error_at_each_pose(in_a_corner):
+    """Over the limits it is the square that is added, with rare families and what is added at the measured poses."""
+    model = in_a_corner.geometry
+    families = model.undetermined_families
+    everywhere = random_joint_values(in_a_corner.nominal, 300, 11)
+    measured = in_a_corner.fit.measurements.joints
+
+    def mean_square(q):
+        samples = in_a_corner.samples(q)
+        _, own = model.twists(samples)
+        further = families.twists(in_a_corner.nominal, model.setup, samples, in_base=False)
+        by_factor = np.concatenate([own, further], axis=2)[:, :3] @ families.factor
+        return np.mean(np.sum(by_factor**2, axis=(1, 2)))
+
+    added = mean_square(everywhere) - mean_square(measured)
+    assert 0.7 < np.sqrt(added) / model.undetermined < 2.0
+    assert mean_square(measured) < 0.05 * mean_square(everywhere)
+
+
+def test_further_parameters_move_joints_by_their_factors(in_a_corner):
+    """A gain by the joint's value, an eccentricity by its sine, a second harmonic by that of twice the value."""
+    families = in_a_corner.geometry.undetermined_families
+    nominal = replace(in_a_corner.geometry.kinematics, T_tip_target=in_a_corner.setup.T_tip_target)
+    samples = in_a_corner.samples(random_joint_values(in_a_corner.nominal, 4, 2))
+    J_q = joint_twists(nominal, np.zeros(len(in_a_corner.parameters)), samples)
+    J = families.twists(in_a_corner.nominal, in_a_corner.setup, samples, in_base=False)
+    joint = in_a_corner.nominal.joint_names[1]
+    q = samples.q[:, 1]
+    for factor, number in (("gain", q), ("sin", np.sin(q)), ("cos_2", np.cos(2.0 * q))):
+        column = J[:, :, families.names.index(f"{joint}.{factor}")]
+        assert column == pytest.approx(J_q[:, :, 1] * number[:, None], abs=1e-6)
+
+
+def test_in_the_base_the_motion_that_compensates_is_left_out(in_a_corner):
+    families = in_a_corner.geometry.undetermined_families
+    robot, setup = in_a_corner.nominal, in_a_corner.setup
+    turned = replace(setup, T_frame_base=setup.T_frame_base.copy())
+    samples = in_a_corner.samples(random_joint_values(robot, 3, 2))
+    in_base = families.twists(robot, turned, samples, in_base=True)
+    motion = np.random.default_rng(0).standard_normal((6, len(families.names)))
+    moved = replace(families, base_motion=motion).twists(robot, turned, samples, in_base=True)
+    points = robot.poses(samples.q) @ setup.T_tip_target[0]
+    assert in_base[:, :3] - moved[:, :3] == pytest.approx(
+        displacements_by(motion, points[:, :3, 3])
+    )
+    assert in_base[:, 3:] - moved[:, 3:] == pytest.approx(
+        np.broadcast_to(motion[3:], (3, 3, len(families.names)))
+    )

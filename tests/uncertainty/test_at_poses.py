@@ -23,7 +23,7 @@ from calib.uncertainty.at_poses import (
     parameter_covariances,
     scale_std,
 )
-from tests.uncertainty.conftest import SIGMA, T_FRAME_BASE, table_of
+from tests.tracked import SIGMA, T_FRAME_BASE, table_of
 
 
 def part(uncertainty, source):
@@ -263,12 +263,26 @@ def two_parts(freedoms, sources=(Source.SCALE, Source.MODEL)):
     return PoseUncertainty(np.eye(4)[None], tuple(parts))
 
 
-def test_degrees_of_freedom_are_by_welch_and_satterthwaite():
-    uncertainty = two_parts((10.0, 20.0))
+def test_many_degrees_of_freedom_are_by_welch_and_satterthwaite():
+    uncertainty = two_parts((1e4, 2e4))
     assert uncertainty.position_std == pytest.approx([np.sqrt(5e-6)])
-    assert uncertainty.position_freedom == pytest.approx([25.0 / (1.0 / 10.0 + 16.0 / 20.0)])
+    expected = 25.0 / (1.0 / 1e4 + 16.0 / 2e4)
+    assert uncertainty.position_freedom == pytest.approx([expected], rel=1e-3)
     assert np.isinf(uncertainty.orientation_freedom[0])
     assert uncertainty.orientation[0] == 0.0
+
+
+@pytest.mark.parametrize("freedoms", [(6.0, np.inf), (8.0, 6.0), (np.inf, 12.0)])
+def test_u_of_a_sum_of_ts_agrees_with_draws(freedoms):
+    rng, count = np.random.default_rng(5), 200_000
+    squares = np.zeros(count)
+    for std, freedom in zip((1e-3, 2e-3), freedoms, strict=True):
+        draws = std * rng.standard_normal(count)
+        if np.isfinite(freedom):
+            draws *= np.sqrt(freedom / rng.chisquare(freedom, count))
+        squares += draws**2
+    expected = np.quantile(np.sqrt(squares), 0.9545)
+    assert two_parts(freedoms).position == pytest.approx([expected], rel=0.03)
 
 
 def test_parts_by_one_estimate_of_the_noise_have_its_degrees_of_freedom():

@@ -32,8 +32,8 @@ def test_without_another_cause_it_is_the_variance_itself():
     assert variance_beyond(4.0, 12.0, 0.0) == (4.0, 12.0)
 
 
-def test_few_degrees_of_freedom_count_as_four_and_a_half():
-    assert variance_beyond(4.0, 2.0, 0.0) == (4.0, 4.5)
+def test_few_degrees_of_freedom_count_as_five():
+    assert variance_beyond(4.0, 2.0, 0.0) == (4.0, 5.0)
 
 
 def test_a_known_variance_is_subtracted():

@@ -64,6 +64,8 @@ def test_each_statement_is_drawn_by_its_distribution(with_statements, points, na
         )
         assert found.position == pytest.approx(0.9545 * grown, rel=0.03)
         assert found.ratio == pytest.approx(2.0 / np.sqrt(3.0) / 0.9545, rel=0.03)
+    elif name == "lost motion":  # a few even distributions, of the joints with the longest arms
+        assert 1.0 < found.ratio < 1.1
     else:
         assert found.ratio == pytest.approx(1.0, abs=0.04)
 

@@ -63,6 +63,14 @@ def test_a_result_gives_its_chain_origins_frames_and_targets(case):
         found = evaluate(robot, m, cell, calibration=c)
         np.testing.assert_allclose(found.residual, c.rows.residual_calibrated, rtol=0, atol=1e-8)
         assert found.registered == ()
+    # U of each kind's errors, of pairs and end stops alone none, is of their size.
+    for unit in found.channels.present:
+        U, errors = found.expanded(unit), found.channels.norms(found.residual, unit)
+        known = np.isfinite(U) & np.isfinite(errors)
+        alone = [kind in ("pair", "stop") for kind in m.kinds]
+        np.testing.assert_array_equal(known, np.isfinite(errors) & ~np.array(alone))
+        if np.any(known):
+            assert np.mean(found.within(unit)[known]) > 0.85
     if c.non_geometric is not None:
         found = evaluate(c.robot, m, cell, calibration=c, non_geometric=c.non_geometric)
         np.testing.assert_allclose(found.residual, c.non_geometric.residual, rtol=0, atol=1e-8)

@@ -1,3 +1,5 @@
+"""A UR3 that a tracker measured in its own frame, and what its cell may state of uncertainty."""
+
 from __future__ import annotations
 
 from dataclasses import replace
