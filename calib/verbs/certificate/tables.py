@@ -20,7 +20,7 @@ _MANY = 1000.0
 
 
 def summary_table(c: Certificate) -> Table:
-    """Tabulate the largest and the mean deviation as found and as left in each unit, with the largest U."""
+    """Tabulate the largest deviation as found and as left in each unit, with the largest U."""
     rows: list[Row] = []
     for unit in c.units:
         shown = RESIDUAL_UNITS[unit]
@@ -28,14 +28,13 @@ def summary_table(c: Certificate) -> Table:
         found = np.array([one.found for one in of_unit])
         left = np.array([one.left for one in of_unit])
         widest = max(one.uncertainty for one in of_unit)
-        for name, figure in (("largest", np.max), ("mean", np.mean)):
-            before, _ = with_uncertainty(float(figure(found)), widest, unit)
-            after, expanded = with_uncertainty(float(figure(left)), widest, unit)
-            decision = c.decisions.get(unit) if name == "largest" else None
-            tolerance = "" if decision is None else f"{shown.to_shown * decision.check.tolerance:g}"
-            outcome = "" if decision is None else decision.check.outcome
-            label = f"{shown.measured} [{shown.shown}], {name} of {len(of_unit)}"
-            rows.append((label, before, after, expanded, tolerance, outcome))
+        before, _ = with_uncertainty(float(np.max(found)), widest, unit)
+        after, expanded = with_uncertainty(float(np.max(left)), widest, unit)
+        decision = c.decisions.get(unit)
+        tolerance = "" if decision is None else f"{shown.to_shown * decision.check.tolerance:g}"
+        outcome = "" if decision is None else decision.check.outcome
+        label = f"{shown.measured} [{shown.shown}], largest of {len(of_unit)}"
+        rows.append((label, before, after, expanded, tolerance, outcome))
     columns = (
         name_column("deviation", 30),
         *(Column(head, 9) for head in ("as found", "as left", "U")),

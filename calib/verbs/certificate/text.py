@@ -186,8 +186,8 @@ def rule_sentences(c: Certificate) -> Iterator[str]:
         yield "No tolerance was stated, so conformity is not stated."
         return
     yield (
-        "Decision rule (ISO 14253-1, JCGM 106): the robot passes if the largest deviation as left plus the guard band "
-        "w = U is within the tolerance T, fails if it is beyond T by more than w, and is undecided otherwise."
+        "Decision rule (ISO 14253-1, JCGM 106): pass if the largest deviation as left plus the guard band w = U is "
+        "within the tolerance T, fail if it is beyond T by more than w, undecided otherwise."
     )
     for unit, decision in c.decisions.items():
         yield from _decision_sentences(decision, unit)

@@ -57,17 +57,22 @@ def own(ur3: Robot, table: Measurements, result: Calibration, **given: Any) -> C
 
 
 def fresh_rows(
-    result: Calibration, repeats: int = 1, noise: float = 1e-5, *, kind: str = "pose"
+    result: Calibration,
+    repeats: int = 1,
+    noise: float = 1e-5,
+    *,
+    kind: str = "pose",
+    count: int = 8,
 ) -> Measurements:
-    """Eight poses within the calibrated ranges, off by 0.1 to 0.2 mm along x of the frame.
+    """Poses within the calibrated ranges, off by 0.1 to 0.2 mm along x of the frame.
 
     Of poses the target's turn is registered to the rows, and with it its position.
     """
     random = np.random.default_rng(5)
     low, high = result.rows.ranges.T
-    q = np.repeat(random.uniform(low, high, size=(8, 6)), repeats, axis=0)
+    q = np.repeat(random.uniform(low, high, size=(count, 6)), repeats, axis=0)
     T = result.predict_poses(q, non_geometric=False)
-    T[:, 0, 3] += np.repeat(np.linspace(1e-4, 2e-4, 8), repeats)
+    T[:, 0, 3] += np.repeat(np.linspace(1e-4, 2e-4, count), repeats)
     T[:, :3, 3] += noise * random.normal(size=(len(q), 3))
     return Measurements(
         result.nominal.joint_names,

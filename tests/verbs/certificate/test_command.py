@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,6 +13,7 @@ import pytest
 from calib.data.measurements import Measurements
 from calib.result.calibration import Calibration
 from tests.cli_fixtures import Run
+from tests.places import ROOT
 from tests.show.pages import Page
 
 RECORD = """
@@ -88,6 +91,20 @@ def test_what_is_refused_leaves_no_file(call: Run, folder: Path, words: tuple[st
     assert (done.code, done.out) == (1, "")
     assert said in done.err
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.slow
+def test_the_example_of_the_page_is_what_is_printed(call: Run, shop: Path):
+    page = (ROOT / "docs" / "certificate.md").read_text("utf-8")
+    (shown,) = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
+    (example,) = re.findall(r"^calib (certificate .* --prior-mean .*)$", page, re.MULTILINE)
+    text = f"sigma_mm = 0.03\nscale_certified = true\n{RECORD}"
+    (shop / "cell.toml").write_text(text, encoding="utf-8")
+    fit = ("calibrate", "robot.urdf", "data.csv", "--cell", "cell.toml", "--quiet")
+    assert call(shop, *fit, "-o", "corrected.urdf", "--json", "result.json").code == 0
+    done = call(shop, *shlex.split(example))
+    assert (done.code, done.err) == (0, "")
+    assert done.out.startswith(shown)
 
 
 def test_a_table_of_fresh_rows(call: Run, folder: Path, table: Measurements):

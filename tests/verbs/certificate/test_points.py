@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.uncertainty.at_poses import Source
@@ -63,6 +66,35 @@ def test_u_is_the_length_that_drawn_errors_stay_below(paper: Certificate):
         assert one.uncertainty == pytest.approx(quantile, rel=0.06)
         assert one.factor == pytest.approx(one.uncertainty / np.sqrt(np.trace(V)), rel=1e-9)
         assert one.of_pose == pytest.approx(uncertainty.position[k], rel=1e-9)
+
+
+def test_u_holds_at_drawn_readings(ruled: Certificate):
+    """400 points whose true deviations are known: errors of the mean vector, and of its length."""
+    left = ruled.assessment.evaluations["calibration"]
+    true = np.linspace(1e-4, 2e-4, 400)
+    errors = left.residual - np.outer(true, [1.0, 0.0, 0.0])
+    U = np.array([one.uncertainty for one in ruled.of("m")])
+    held = np.mean(np.linalg.norm(errors, axis=1) <= U)
+    assert 0.93 < held < 0.99
+    sizes = np.array([one.left for one in ruled.of("m")])
+    assert np.mean(np.abs(sizes - true) <= U) > 0.98
+
+
+@pytest.fixture(scope="module")
+def ruled(ur3: Robot, table: Measurements, paper_cell: Cell) -> Certificate:
+    """By an instrument whose lengths are right, for a target that is known: the readings alone are uncertain."""
+    cell = replace(paper_cell, scale_certified=True, estimate_target=False, model="zeros")
+    result = calibrate(ur3, table, cell=cell, validate=False)
+    rows = fresh_rows(result, 1, 1e-5, kind="point", count=400)
+    return own(ur3, rows, result, sigma={"m": 1e-5}, tolerance={"m": 1.5e-4})
+
+
+def test_probabilities_of_conformity_are_shares_of_points(ruled: Certificate):
+    """Half of the true deviations are within; where P(within) says so, they are."""
+    within = np.linspace(1e-4, 2e-4, 400) <= 1.5e-4
+    likely = np.array([one.conformance for one in ruled.of("m")])
+    assert np.mean(within[likely > 0.9]) > 0.9
+    assert np.mean(within[likely < 0.1]) < 0.2
 
 
 def test_more_readings_of_a_pose_are_less_noise(ur3: Robot, default_result: Calibration):
