@@ -56,7 +56,7 @@ class Finding(Value):
 
     #: ``"frame"``, ``"target"``, ``"base"``, ``"hand"``, ``"joint"``, ``"row"`` or ``"other"``
     code: Code
-    #: Name of the frame, target or joint; empty for the only one
+    #: Name of the frame, target or joint; empty for the only frame or target, and where there is none
     name: str
     #: Probability, if something is off at all
     probability: float
@@ -83,12 +83,14 @@ class Finding(Value):
 class Noticed(Value):
     """The smallest displacement of a cause that these stops would have shown in 95 of 100 checks."""
 
+    #: As of a `Finding`
     code: Code
+    #: As of a `Finding`
     name: str
     #: Shift in the direction that shows least [m]; of a sliding joint its zero; infinite if it does not show, NaN if
     #: there is none
     shift: float
-    #: Turn about the axis that shows least, through the base or the target [rad]; of a joint its zero; infinite, NaN
+    #: Turn about the axis that shows least, wherever it is [rad]; of a joint its zero; infinite, NaN
     turn: float
 
 
@@ -96,7 +98,9 @@ class Noticed(Value):
 class CheckResult(Value):
     """What a few fresh rows say about a stored result."""
 
+    #: The stored result
     result: Calibration
+    #: The answer, an `Outcome`
     outcome: Outcome
     #: Probability of as much evidence if nothing has moved
     p_value: float
@@ -104,8 +108,9 @@ class CheckResult(Value):
     nothing: float
     #: The causes, the most probable first
     findings: tuple[Finding, ...]
-    #: Number of stops, and of numbers that they measure, an image's as six
+    #: Number of stops
     stops: int
+    #: Number of numbers that they measure, an image's as six
     numbers: int
     #: Norm of measured minus predicted over its expectation, rms over all numbers; 1 if nothing has moved
     ratio: float
@@ -113,10 +118,13 @@ class CheckResult(Value):
     expected: float
     #: Tolerance of positions, as given [m]; None: none
     tolerance: float | None
-    #: What is compared, and the whitened stops
+    #: The result, prepared to be compared with
     reference: Reference
+    #: The stops, whitened
     stack: Stack
+    #: The causes that were weighed
     causes: tuple[Cause, ...]
+    #: How each shows at the stops
     directions: tuple[Directions, ...]
     #: The distribution of the evidence if nothing has moved
     test: EvidenceTest
@@ -441,18 +449,23 @@ def _spread_samples(reference: Reference, cause: Cause) -> Samples:
 
 
 def _noticed(test: EvidenceTest, stack: Stack, cause: Cause) -> Noticed:
-    """Find the smallest shift and turn of a cause that would have been noticed in 95 of 100 checks."""
+    """Find the smallest shift alone, and turn with any shift, of a cause that are noticed in 95 of 100 checks."""
     found = {}
     for unit in ("m", "rad"):
         chosen = np.array([of == unit for of in cause.units])
         found[unit] = np.nan
-        derivative = (stack.by_displacements @ cause.mixing)[:, chosen]
+        whole = stack.by_displacements @ cause.mixing
+        derivative = whole[:, chosen]
         size = np.linalg.norm(derivative, axis=0)
         if not np.any(size > 1e-6):
             continue  # as the turn of a point
+        if unit == "rad" and not chosen.all():
+            # About whichever point: what no shift makes good.
+            Q, _ = np.linalg.qr(whole[:, ~chosen])
+            derivative = derivative - Q @ (Q.T @ derivative)
         U, singular, _ = np.linalg.svd(derivative, full_matrices=False)
         found[unit] = np.inf
-        if len(singular) == int(chosen.sum()) and singular[-1] > 1e-6 * singular[0]:
+        if len(singular) == int(chosen.sum()) and singular[-1] > 1e-6 * size.max():
             length = test.detected_length(U[:, -1])
             found[unit] = float(length / singular[-1] * (1.0 if unit == "m" else 1.0 / LEVER))
     return Noticed(cause.code, cause.name, found["m"], found["rad"])

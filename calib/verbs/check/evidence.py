@@ -48,11 +48,11 @@ _MOST = 1e7
 class Directions(Value):
     """The displacements of one cause as they show in n whitened numbers: U l V^T."""
 
-    #: (n, r)
+    #: (n, r), left singular vectors
     U: Array
     #: (r,), of 1 m
     singular: Array
-    #: (r, c)
+    #: (r, c), right singular vectors, as rows
     V: Array
     #: Weight of the cause before anything is measured
     prior: float
@@ -94,7 +94,9 @@ def log_weights(causes: Sequence[Directions], y: Array, freedom: float) -> Array
 class EvidenceTest(Value):
     """The distribution of the evidence if nothing has moved."""
 
+    #: The causes whose weights are added up
     causes: tuple[Directions, ...]
+    #: Degrees of freedom of the noise
     freedom: float
     #: (M,), drawn, sorted
     null: Array

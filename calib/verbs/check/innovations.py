@@ -66,10 +66,11 @@ class Stop(Value):
 class Stack(Value):
     """All stops together, whitened: n numbers with independent errors of variance 1."""
 
+    #: The stops, not whitened
     stops: tuple[Stop, ...]
-    #: (n,)
+    #: (n,), measured minus predicted
     y: Array
-    #: (n, c)
+    #: (n, c), by a unit of each displacement
     by_displacements: Array
     #: For each stop (n, 6), by a displacement of the target at it alone
     by_target: tuple[Array, ...]
@@ -79,6 +80,7 @@ class Stack(Value):
 class Reference(Value):
     """A stored result, against which fresh stops are compared."""
 
+    #: As made or read
     result: Calibration
     #: The model that predicts
     part: FittedModel

@@ -19,9 +19,7 @@ from calib.verbs.check.innovations import LEVER, Reference, stacked
 from tests.verbs.check.shop import JOINTS, paper_result, points
 
 
-def table_of_two(
-    q: np.ndarray, robot: object = None, targets: np.ndarray | None = None
-) -> Measurements:
+def table_of_two(q: np.ndarray, targets: np.ndarray | None = None) -> Measurements:
     """Two targets seen from two stations, in turn."""
     arm = paper_result().robot
     places = np.array([[0.05, 0.02, 0.03], [-0.04, 0.05, 0.02]]) if targets is None else targets

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.data.measurements import Measurements
 from calib.errors import ArgumentError, CalibError, ModelError
 from calib.verbs.check.check import check
 from calib.verbs.check.poses import check_poses, further_poses
 from calib.verbs.plan.plan_file import read_poses
-from tests.verbs.check.shop import JOINTS, POSES, paper_result, points
+from tests.verbs.check.shop import JOINTS, paper_result, points
 
 pytestmark = pytest.mark.slow
 
@@ -78,8 +77,3 @@ def test_wrong_numbers_are_refused():
         check_poses(paper_result(), 0)
     with pytest.raises(ArgumentError):
         check_poses(3.0)  # type: ignore[arg-type]
-
-
-def test_measurements_at_the_planned_poses_are_read_as_any(tmp_path: Path):
-    table = points(POSES)
-    assert isinstance(table, Measurements)
