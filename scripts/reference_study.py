@@ -235,7 +235,7 @@ def main() -> None:
     parser.add_argument("--cases", default="", metavar="WORD", help="only movements with this word")
     parser.add_argument("--layout", default="", help="only this layout, such as 30/5/3")
     arguments = parser.parse_args()
-    layouts = LAYOUTS
+    layouts: tuple[tuple[int, int, int], ...] = LAYOUTS
     if arguments.layout:
         poses, every, targets = (int(word) for word in arguments.layout.split("/"))
         layouts = ((poses, every, targets),)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.basics.arrays import Array, Integers, read_only
+from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.tables import Column, Table, is_blank
 from calib.basics.values import Value
 from calib.data.columns import (
@@ -266,7 +266,7 @@ def _points(table: Table, named: Named) -> Array:
     columns = [with_unit(table, named[name], "length") for name in POINT]
     numbers = table.numbers(columns)
     empty = np.array([[is_blank(row[c.index]) for c in columns] for row in table.cells])
-    bad = ~np.isfinite(numbers) & ~empty.all(axis=1)[:, None]
+    bad: Mask = np.asarray(~np.isfinite(numbers) & ~empty.all(axis=1)[:, None])
     if bad.any():
         row, k = np.argwhere(bad)[0].tolist()
         text = table.cells[row][columns[k].index]

@@ -18,11 +18,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.basics.arrays import Array, Mask, read_only
+from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.values import Value
 from calib.data.measurements import Measurements
 from calib.data.references import References
@@ -257,7 +258,8 @@ def shown_by_references(drift: FrameDrift) -> Iterator[Reason]:
         a standard deviation.
     """
     for one in drift.found:
-        common = {"mover": one.mover.value, "reference": one.reference, "group": one.group}
+        common: dict[str, Any] = {"mover": one.mover.value, "reference": one.reference}
+        common["group"] = one.group
         common |= {"by_xyz": one.by.tolist(), "moved_m": one.size, "p": one.p}
         if one.form is Form.READING:
             yield Reason.of(Why.REFERENCE_MISREAD, row=one.row, **common)
@@ -298,7 +300,7 @@ class _Residuals:
     #: Shape (M, b), shape (M,), and shape (M,): the table's row of each scalar, from 0
     base: Array
     residual: Array
-    row: Array
+    row: Integers
     #: Shape (M, 6), by a displacement and a rotation of the frame's content about its origin
     directions: Array
 

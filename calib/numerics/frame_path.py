@@ -138,7 +138,7 @@ class Evidence:
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the noise."""
-        return len(self.residual) - self.base.shape[1]
+        return len(self.residual) - int(self.base.shape[1])
 
     @property
     def noise(self) -> float:
@@ -391,7 +391,7 @@ def _estimated(
         variance = max(settled.noise**2, np.finfo(float).tiny)
         H += left.T @ left / variance
         g += left.T @ source.remaining / variance
-    covariance = np.linalg.pinv(H, rcond=_CUT**2, hermitian=True)
+    covariance: Array = np.asarray(np.linalg.pinv(H, rcond=_CUT**2, hermitian=True), np.float64)
     places = []
     for change in found:
         probabilities: Mapping[int, float] = ReadOnlyMapping({})

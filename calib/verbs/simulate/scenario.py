@@ -535,7 +535,7 @@ class VirtualCell(Value):
         rows, stops = len(T), len(tour.route)
         visited = [*range(0, stops, scenario.standing.every), stops]
         first = np.searchsorted(tour.stop, visited)  # the row after each visit
-        before = np.repeat(first, count)
+        before = np.asarray(np.repeat(first, count) - 0.5, dtype=np.float64)
         readings = np.tile(true, (len(visited), 1))
         if scenario.noise is not None:
             tracker = np.zeros(3)
@@ -546,10 +546,10 @@ class VirtualCell(Value):
             std = scenario.noise.constant + scenario.noise.per_length * distance
             normal = stream(seed, "reference noise").standard_normal(readings.shape)
             readings = readings + std[:, None] * normal
-        readings = readings + self._drift(before - 0.5, rows)
+        readings = readings + self._drift(before, rows)
         numbers = np.arange(rows + 1, rows + 1 + len(readings))
         # A visit is before the row of its place.
-        places = np.concatenate([np.arange(rows, dtype=np.float64), before - 0.5])
+        places = np.concatenate([np.arange(rows, dtype=np.float64), before])
         order = np.argsort(places, kind="stable")
         return true, References(
             points=readings,
