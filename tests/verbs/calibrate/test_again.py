@@ -271,7 +271,7 @@ def test_a_file_without_a_record_says_so(made: Path):
         again(made / "result.json")
 
 
-def test_what_was_given_in_memory_has_to_be_given_again(made: Path):
+def test_what_was_given_in_memory_has_to_be_given_again(made: Path, call: Call):
     robot = calib.Robot.load(made / "robot.urdf", base="base", tip="tool0")
     table = calib.Measurements.read(made / "data.csv", robot.joint_names)
     result = calib.calibrate(robot, table, model="zeros", validate=False)
@@ -283,6 +283,10 @@ def test_what_was_given_in_memory_has_to_be_given_again(made: Path):
     made_again = again(made / "memory.json", robot, table)
     assert made_again.is_equal
     assert made_again.changes == ()
+    # The record has the links of the robot's chain, so that its files alone are to be named.
+    assert record["cell"] == {"base": "base", "tip": "tool0", "model": "zeros"}
+    done = call(made, "calibrate", "robot.urdf", "data.csv", "--again", "memory.json")
+    assert done.code == 0
     other = replace(table, points=table.points + 1e-4)
     made_again = again(made / "memory.json", robot, other)
     assert not made_again.is_equal
