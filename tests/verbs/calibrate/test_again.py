@@ -17,7 +17,7 @@ import calib
 from calib.basics.json_files import read_json
 from calib.errors import CalibError, FileError
 from calib.result.calibration_file import EXPECTED, SCHEMA, write_table
-from calib.verbs.calibrate.again import Again, Record, What, again, compare_tables
+from calib.verbs.calibrate.again import Record, What, again, compare_tables
 from tests.plugin_files import SOURCE, registries_kept, write_plugin
 
 WORDS = ("robot.urdf", "data.csv", "--base", "base", "--tip", "tool0", "--model", "zeros")
@@ -314,16 +314,6 @@ def test_parameters_of_ones_own_are_in_no_file(made: Path):
     result.write_json(made / "own.json")
     with pytest.raises(CalibError, match="Python"):
         again(made / "own.json")
-
-
-def test_the_summary_names_what_moved(made: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(made)
-    assert isinstance(again("result.json"), Again)
-    equal = again("result.json").summary()
-    with_other_digit(made / "data.csv")
-    made_again = again("result.json")
-    assert made_again.moved[0].before.name in made_again.summary()
-    assert made_again.moved[0].before.name not in equal
 
 
 @pytest.mark.slow
