@@ -238,8 +238,8 @@ def compared(usual: Path, other: Path, *, by_rows: bool) -> str:
         larger = each.non_geometric
         traits.append(
             (
-                each.model.names,
-                None if larger is None else larger.model.names,
+                sorted(each.model.names),
+                None if larger is None else sorted(larger.model.names),
                 None if each.verdict is None else each.verdict.use,
             )
         )

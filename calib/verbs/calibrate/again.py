@@ -32,7 +32,7 @@ from calib.result.calibration_file import (
     read_result,
     result_table,
 )
-from calib.result.call import Call, file_hashes, plugin_hashes
+from calib.result.call import Call, file_hashes, plugin_hashes, split_name
 from calib.result.fitted_model import ParameterEstimate
 from calib.robot.urdf import Urdf
 from calib.verbs.calibrate.uncertainty import LEVEL, bootstrap, profile_interval, profile_table
