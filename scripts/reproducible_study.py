@@ -196,7 +196,7 @@ def vary_table(path: Path, change: Callable[[list[list[str]], random.Random], No
         csv.writer(file).writerows(rows)
 
 
-def column(name: str, variations: Sequence[str], seed: int) -> list[str]:
+def case_texts(name: str, variations: Sequence[str], seed: int) -> list[str]:
     """Calibrate a case as usual and under each change, and say what differs."""
     case = CASES[name]
     texts = []
@@ -238,8 +238,8 @@ def compared(usual: Path, other: Path, *, by_rows: bool) -> str:
         larger = each.non_geometric
         traits.append(
             (
-                each.model.names,
-                None if larger is None else larger.model.names,
+                sorted(each.model.names),
+                None if larger is None else sorted(larger.model.names),
                 None if each.verdict is None else each.verdict.use,
             )
         )
@@ -247,16 +247,16 @@ def compared(usual: Path, other: Path, *, by_rows: bool) -> str:
 
 
 def main() -> None:
-    """Print a row for each change, a column for each case."""
+    """Print a row for each case, a column for each change."""
     parser = study_parser(__doc__, parallel=True)
     parser.add_argument("--only", nargs="*", default=list(CASES), choices=list(CASES))
     parser.add_argument("--vary", nargs="*", default=list(VARIATIONS), choices=list(VARIATIONS))
     parser.add_argument("--seed", type=int, default=1, help="of the simulated tables")
     arguments = parser.parse_args()
     jobs = [(name, arguments.vary, arguments.seed) for name in arguments.only]
-    columns = run_jobs(column, jobs, workers=arguments.workers, label="cases")
-    rows = zip(arguments.vary, *columns, strict=True)
-    print_table(["change", *arguments.only], rows)
+    texts = run_jobs(case_texts, jobs, workers=arguments.workers, label="cases")
+    rows = ([name, *row] for name, row in zip(arguments.only, texts, strict=True))
+    print_table(["case", *arguments.vary], rows)
 
 
 if __name__ == "__main__":

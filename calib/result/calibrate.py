@@ -19,7 +19,7 @@ from calib.basics.dates import date_text, now
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.basics.progress import Stage, begin
 from calib.data.cell import AUTO, Cell
-from calib.data.inputs import CellInput, RobotInput, TableInput, cell_with, inputs_of
+from calib.data.inputs import CellInput, RobotInput, TableInput, cell_with, chain_of, inputs_of
 from calib.data.measurements import Measurements
 from calib.diagnosis.augmented_fit import PREDICTS
 from calib.diagnosis.camera_changes import changes_between_pictures
@@ -132,10 +132,17 @@ def calibrate(
         str(given) if isinstance(given, (str, Path)) else "" for given in (robot, measurements)
     ]
     further = [other.robot for other in stated.robots.values()]
+    told = stated
+    if isinstance(robot, Robot) and not (robot.branches or robot.parts):
+        # The links of its chain, for a robot that is read from a file the next time.
+        chain = chain_of(robot)
+        told = replace(
+            stated, base=chain.base, tip=chain.tip, held=chain.held, coupling=chain.coupling
+        )
     call = Call(
         robot=named[0],
         table=named[1],
-        cell=stated,
+        cell=told,
         own_parameters=model is not None,
         solver=solver if isinstance(solver, str) else getattr(solver, "__name__", ""),
         robust=robust,

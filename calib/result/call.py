@@ -63,25 +63,29 @@ class Call(Value):
         keep_read_only(self, "files", "plugins")
 
 
-def path_of(name: str) -> Path:
-    """Return the path of an input by its name, without the arguments of a xacro and the sheet of a workbook.
+def split_name(name: str) -> tuple[Path, str]:
+    """Split the name of an input into the path of its file and what follows it: arguments of a xacro, or a sheet.
 
     Example:
-        >>> path_of("cells/arm.xacro prefix:=left_").name
-        'arm.xacro'
+        >>> split_name("arm.xacro prefix:=left_")[1]
+        ' prefix:=left_'
     """
     if is_xacro(name):
-        return XacroCall.parse(name).path
-    return Path(split_sheet(name)[0])
+        call = XacroCall.parse(name)
+        return call.path, call.name.removeprefix(call.path.name)
+    file, _ = split_sheet(name)
+    return Path(file), name.removeprefix(file)
 
 
 def file_hashes(names: Iterable[str | Path | None]) -> dict[str, str]:
     """Return the SHA-256 of files by their names as given; other names, such as ``"ur3"``, are left out."""
     hashes = {}
     for name in names:
-        if name is not None and path_of(str(name)).is_file():
-            data = read_bytes(path_of(str(name)), "The file")
-            hashes[str(name)] = hashlib.sha256(data).hexdigest()
+        if name is None:
+            continue
+        path, _ = split_name(str(name))
+        if path.is_file():
+            hashes[str(name)] = hashlib.sha256(read_bytes(path, "The file")).hexdigest()
     return hashes
 
 

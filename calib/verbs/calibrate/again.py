@@ -32,7 +32,7 @@ from calib.result.calibration_file import (
     read_result,
     result_table,
 )
-from calib.result.call import Call, file_hashes, path_of, plugin_hashes
+from calib.result.call import Call, file_hashes, plugin_hashes, split_name
 from calib.result.fitted_model import ParameterEstimate
 from calib.robot.urdf import Urdf
 from calib.verbs.calibrate.uncertainty import LEVEL, bootstrap, profile_interval, profile_table
@@ -326,11 +326,9 @@ def again(
 
 def _places(name: str, folder: Path) -> list[str]:
     """Return the names of files that a name may mean: here and in a folder, with its own folders and without."""
-    base = path_of(name)
-    places = [base, folder / base, Path(base.name), folder / base.name]
-    return [
-        f"{place}{name[len(str(base)) :]}" for place in dict.fromkeys(places) if place.is_file()
-    ]
+    path, rest = split_name(name)
+    places = [path, folder / path, Path(path.name), folder / path.name]
+    return [f"{place}{rest}" for place in dict.fromkeys(places) if place.is_file()]
 
 
 def _found(name: str, sha256: str, folder: Path) -> str:
