@@ -82,7 +82,7 @@ def test_rows_of_one_pose_count_as_one():
     by_pose = fresh_error(errors, errors, poses, none, 6000)
     by_row = fresh_error(errors, errors, np.arange(2000), none, 6000)
     assert by_pose.rms == by_row.rms
-    assert by_pose.freedom == pytest.approx(by_row.freedom / 4.0, rel=0.02)
+    assert by_pose.freedom == pytest.approx(by_row.freedom / 4.0, rel=0.06)
 
 
 def test_what_the_fit_takes_up_is_shared_by_all_fresh_rows():
