@@ -314,15 +314,20 @@ def _validity(c: Certificate) -> Element:
     quantities = []
     for one in c.box:
         unit = "m" if one.prismatic else "rad"
-        for name, value in zip(("lower", "upper"), one.calibrated, strict=True):
-            ref = f"basic_validityRange{'Min' if name == 'lower' else 'Max'}"
-            quantities.append(_quantity(f"{one.joint}, {name} limit", ref, _real(value, unit)))
+        for name, end, value in zip(
+            ("lower", "upper"), ("Min", "Max"), one.calibrated, strict=True
+        ):
+            if math.isfinite(value):  # of results that know their ranges
+                quantity = _real(value, unit)
+                ref = f"basic_validityRange{end}"
+                quantities.append(_quantity(f"{one.joint}, {name} limit", ref, quantity))
     text = "Valid within these ranges of the joints"
     if c.record.load:
         text += f", with the load {c.record.load}"
     if c.record.valid_until:
         text += f", until {c.record.valid_until}"
-    return _statement("basic_validityRange", "Validity", f"{text}.", data=_of("data", *quantities))
+    data = _of("data", *quantities) if quantities else None
+    return _statement("basic_validityRange", "Validity", f"{text}.", data=data)
 
 
 def _conformity(c: Certificate, unit: str, decision: Decision) -> Element:

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from calib.data.measurements import Measurements
@@ -230,3 +231,11 @@ def test_any_text_is_xml(certificates: dict[str, Certificate]):
     assert (
         said.findtext("dcc:declaration/dcc:content", "", SPACES) == "a < b & \ufffd \ufffd \ufffd"
     )
+
+
+def test_a_range_that_is_not_known_is_left_out(certificates: dict[str, Certificate]):
+    c = certificates["own"]
+    box = tuple(replace(one, calibrated=(np.inf, -np.inf)) for one in c.box)
+    root = ElementTree.fromstring(dcc_bytes(replace(c, box=box)))
+    (validity,) = root.iterfind(".//dcc:statement[@refType='basic_validityRange']", SPACES)
+    assert validity.find("dcc:data", SPACES) is None
