@@ -296,3 +296,8 @@ def test_results_of_several_chains_are_of_the_same_chains_or_refused():
     again = compare(c, replace(c))
     assert again.outcome in get_args(Outcome)
     assert again.test.chi_square == 0.0
+
+
+@pytest.mark.slow
+def test_results_of_several_chains_may_be_of_other_measurements():
+    assert compare(fitted(), fitted(2)).outcome in get_args(Outcome)
