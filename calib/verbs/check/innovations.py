@@ -253,7 +253,7 @@ class Reference(Value):
 
 
 def _tails(result: Calibration) -> float:
-    """Return the degrees of freedom of a t distribution with the tails of the fitted residuals; infinite for normal ones.
+    """Return the degrees of freedom of a t with the tails of the fitted residuals; infinite for normal ones.
 
     With u the squared norm of the d scalars of a row in standard deviations, the ratio of E u^2 / (E u)^2 to that of a
     normal distribution is (nu - 2) / (nu - 4) for a t with nu degrees of freedom (K. V. Mardia, 1970, has the standard
