@@ -323,7 +323,7 @@ def judged(
     stack = stacked(stops)
     moving = moving_causes(reference)
     causes, directions = causes_of(moving, stack)
-    freedom = result.noise.freedom
+    freedom = reference.freedom
     weights = logsumexp(log_weights(directions, stack.y[:, None], freedom)[:, :, 0], axis=1)
     evidence = float(logsumexp(weights))
     if test is None:
@@ -372,7 +372,7 @@ def _finding(
     reference: Reference, stack: Stack, cause: Cause, directions: Directions, probability: float
 ) -> Finding:
     """Estimate the displacement of a cause, and its effect."""
-    mean, covariance = estimate(directions, stack.y, reference.result.noise.freedom)
+    mean, covariance = estimate(directions, stack.y, reference.freedom)
     if cause.code not in MOVING:
         shift = mean.reshape(-1, 6)[:, :3]
         size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))

@@ -92,6 +92,8 @@ class Reference(Value):
     sigma: dict[str, float]
     #: The part of the noise of lengths that a robot has anew at each pose, 0 to 1
     shared: float
+    #: Degrees of freedom of the t distribution of what is measured: those of the noise, or less for heavier tails
+    freedom: float
 
     @classmethod
     def of(cls, result: Calibration) -> Reference:
@@ -128,7 +130,8 @@ class Reference(Value):
         repeats = result.noise.repeats
         if repeats is not None and "m" in sigma and repeats.freedoms.get("m", 0.0) > 0.0:
             shared = max(1.0 - (repeats.within["m"] / sigma["m"]) ** 2, 0.0)
-        return cls(result, part, displaced, np.hstack([root, by_scale]), sigma, shared)
+        freedom = min(result.noise.freedom, _tails(result))
+        return cls(result, part, displaced, np.hstack([root, by_scale]), sigma, shared, freedom)
 
     def stops(
         self, rows: Rows, stated: Collection[str], numbers: Sequence[int], images: Sequence[str]
@@ -247,6 +250,32 @@ class Reference(Value):
         depth = max(kept * board.predicted_depth**2, across)
         turn = max(kept * board.turn**2 - board.turn_alone**2, 0.0) / 3.0
         return float(np.sqrt(across)), float(np.sqrt(depth)), float(np.sqrt(turn))
+
+
+def _tails(result: Calibration) -> float:
+    """Return the degrees of freedom of a t with the tails of the fitted residuals; infinite for normal ones.
+
+    With u the squared norm of the d scalars of a row in standard deviations, the ratio of E u^2 / (E u)^2 to that of a
+    normal distribution is (nu - 2) / (nu - 4) for a t with nu degrees of freedom (K. V. Mardia, 1970, has the standard
+    error 8 / (d (d + 2) N), squared, of N normal rows). Two standard errors less are taken: what chance explains is
+    no tail. Images are left out, as the corners of one view are not independent.
+    """
+    rows, other = result.rows, result.non_geometric
+    residual = rows.residual_calibrated if other is None else other.residual
+    square, count = np.zeros(len(rows)), np.zeros(len(rows))
+    for unit in rows.channels.present:
+        sigma = result.noise.sigma.get(unit, 0.0)
+        if unit != "px" and sigma > 0.0:
+            chosen = rows.channels.where(unit)
+            square += np.sum(np.where(chosen, residual, 0.0) ** 2, axis=1) / sigma**2
+            count += chosen.sum(axis=1)
+    kept = rows.estimation & (rows.weights > 0.0) & (count > 0)
+    if not np.any(kept) or not np.any(square[kept]):
+        return np.inf
+    d, n = float(count[kept].mean()), int(kept.sum())
+    ratio = np.mean(square[kept] ** 2) / np.mean(square[kept]) ** 2 * d / (d + 2.0)
+    excess = ratio - 2.0 * np.sqrt(8.0 / (d * (d + 2.0) * n)) - 1.0
+    return float(4.0 + 2.0 / excess) if excess > 0.0 else np.inf
 
 
 def _scalars_of_a_row(result: Calibration, unit: str) -> float:

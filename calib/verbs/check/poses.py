@@ -253,7 +253,8 @@ def further_poses(
     """
     if check.outcome != "undecided":
         raise ModelError(f"The check has decided ('{check.outcome}'): no further poses are needed.")
-    reference, freedom = check.reference, check.result.noise.freedom
+    reference = check.reference
+    freedom = reference.freedom
     if candidates is None:
         candidates = candidates_of(reference, cell_of(cell), seed)
     rng = np.random.default_rng(seed)
@@ -326,7 +327,7 @@ def _value_of_sets(
 ) -> Callable[[Sequence[Stop]], float]:
     """Return the function that says what a set of ``count`` stops is worth."""
     rng = np.random.default_rng([seed, 1])
-    freedom = reference.result.noise.freedom
+    freedom = reference.freedom
     drawn, true = [], []
     for cause in moving:
         shown = [np.sum((stop.by_displacements @ cause.mixing) ** 2) for stop in candidates.stops]

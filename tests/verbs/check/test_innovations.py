@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.stats import multivariate_t
 
 from calib.data.cell import Cell
 from calib.verbs.check.check import fresh_stops
-from calib.verbs.check.innovations import LEVER, Reference, numbered_as, stacked
+from calib.verbs.check.innovations import LEVER, Reference, _tails, numbered_as, stacked
 from tests.verbs.check.shop import JOINTS, POSES, paper_result, points
 
 
@@ -99,3 +100,22 @@ def test_names_are_those_of_the_result():
     np.testing.assert_array_equal(numbered_as(("b", "a"), ("a", "b"), index), [1, 0, 1])  # type: ignore[arg-type]
     assert numbered_as(("b", "c"), ("a", "b"), index) is None
     np.testing.assert_array_equal(numbered_as(("new",), ("old",), np.zeros(2, int)), [0, 0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("nu", "most"), [(6.0, 25.0), (np.inf, np.inf)])
+def test_tails_of_residuals_are_those_of_a_t(nu: float, most: float):
+    """Of 2,000 rows of three coordinates with one scale each, as SciPy has a multivariate t."""
+    result = paper_result()
+    draws = multivariate_t(shape=np.eye(3), df=nu).rvs(2000, random_state=4)
+    rows = result.rows
+    chosen = np.resize(np.flatnonzero(rows.estimation), 2000)
+    scaled = replace(
+        rows,
+        numbers=tuple(range(2000)),
+        sets=("estimate",) * 2000,
+        residual_calibrated=draws * result.noise.sigma["m"],
+        channels=rows.channels.select(chosen),
+        weights=np.ones(2000),
+    )
+    found = _tails(replace(result, rows=scaled))
+    assert (4.0 < found < most) if np.isfinite(most) else found > 100.0
