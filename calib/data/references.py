@@ -266,7 +266,7 @@ def _points(table: Table, named: Named) -> Array:
     columns = [with_unit(table, named[name], "length") for name in POINT]
     numbers = table.numbers(columns)
     empty = np.array([[is_blank(row[c.index]) for c in columns] for row in table.cells])
-    bad: Mask = np.asarray(~np.isfinite(numbers) & ~empty.all(axis=1)[:, None])
+    bad: Mask = np.asarray(~np.isfinite(numbers) & ~np.all(empty, axis=1, keepdims=True))
     if bad.any():
         row, k = np.argwhere(bad)[0].tolist()
         text = table.cells[row][columns[k].index]
