@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
+import random
 import shutil
 import struct
 from collections.abc import Callable, Iterator
@@ -18,6 +20,7 @@ from calib.basics.json_files import read_json
 from calib.errors import CalibError, FileError
 from calib.result.calibration_file import EXPECTED, SCHEMA, write_table
 from calib.verbs.calibrate.again import Record, What, again, compare_tables
+from tests.cli_fixtures import calib as calib_program
 from tests.plugin_files import SOURCE, registries_kept, write_plugin
 
 WORDS = ("robot.urdf", "data.csv", "--base", "base", "--tip", "tool0", "--model", "zeros")
@@ -323,3 +326,38 @@ def test_auto_with_validation_is_made_again_to_the_last_bit(shop: Path, call: Ca
     done = call(shop, "calibrate", "--again", "result.json", "-o", "second.urdf")
     assert done.code == 0
     assert (shop / "first.urdf").read_bytes() == (shop / "second.urdf").read_bytes()
+
+
+def test_rows_with_their_order_may_stand_in_any_order(shop: Path):
+    with (shop / "data.csv").open(encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    numbered = [[*row, str(k)] for k, row in enumerate(rows)]
+    found = []
+    for name, order in (("a", numbered), ("b", random.Random(5).sample(numbered, len(numbered)))):
+        table = shop / f"{name}.csv"
+        with table.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows([[*head, "order"], *order])
+        result = calib.calibrate(shop / "robot.urdf", table, base="base", model="zeros")
+        found.append(dict(bits(load(result.write_json(shop / f"{name}.json")))))
+    assert len(found[0]) > 500
+    assert found[0] == found[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "environment",
+    [{"OPENBLAS_NUM_THREADS": "4", "PYTHONHASHSEED": "77"}, {"OPENBLAS_CORETYPE": "Nehalem"}],
+)
+def test_other_processes_give_the_same(
+    shop: Path, monkeypatch: pytest.MonkeyPatch, environment: dict[str, str]
+):
+    calib_program(shop, "calibrate", *WORDS[:-1], "dh", "--json", "result.json")
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    done = calib_program(shop, "calibrate", "--again", "result.json", "--json", "again.json")
+    first, second = (load(shop / name) for name in ("result.json", "again.json"))
+    kernels = [table["versions"]["blas"] for table in (first, second)]
+    # Another kernel, if this processor has one, moves the last bits and nothing else.
+    assert done.code == (0 if kernels[0] == kernels[1] else 3)
+    for a, b in zip(first["parameters"], second["parameters"], strict=True):
+        assert abs(a["value"] - b["value"]) <= 1e-9 * (a["std"] or 1.0)
