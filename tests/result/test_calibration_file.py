@@ -286,8 +286,6 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
                 "cameras",
                 "boards",
                 "nominal_",
-                "frames.stated_places",
-                "non_geometric.stated_places",
             )
         )
         and ".optics[]" not in path
