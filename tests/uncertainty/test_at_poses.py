@@ -216,7 +216,9 @@ def test_the_instrument_grows_over_the_temperatures_of_the_record(with_statement
 
 
 @pytest.mark.parametrize("place", ["target", "frame"])
-def test_a_stated_place_that_is_off_moves_predictions_as_a_fit_with_it_does(ur3, points, place):
+def test_a_stated_place_that_is_off_moves_predictions_as_a_fit_with_it_does(
+    ur3, points, place, tmp_path
+):
     """Fits with the place as stated, and displaced, against the derivative; priors and weights are held."""
     table, truth = table_of(ur3, 60)
     step = np.array([2e-4, -1e-4, 1e-4])
@@ -239,9 +241,10 @@ def test_a_stated_place_that_is_off_moves_predictions_as_a_fit_with_it_does(ur3,
     moved = there.predict(points) - here.predict(points)
     linear = left[:, :3, :3] @ step / 1e-4
     assert moved == pytest.approx(linear, abs=0.1 * np.abs(linear).max())
-    assert part(here.uncertainty(points), source).covariance == pytest.approx(
-        left @ left.transpose(0, 2, 1)
-    )
+    read = read_result(write_result(here, tmp_path / "result.json"))
+    for result in (here, read):
+        covariance = part(result.uncertainty(points), source).covariance
+        assert covariance == pytest.approx(left @ left.transpose(0, 2, 1))
 
 
 def replace_source(priors):
