@@ -13,13 +13,13 @@ nothing states it, the scatter of the rows counts as the robot's, in V, and s is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.basics.arrays import Array, Integers, Mask, read_only
 from calib.basics.channels import RESIDUAL_UNITS, Channels
-from calib.basics.values import Value, keep_read_only
+from calib.basics.values import ReadOnlyMapping, Value, keep_read_only
 from calib.data.cell import Cell
 from calib.data.columns import DEFAULT_TARGET
 from calib.data.measurements import Measurements
@@ -48,10 +48,13 @@ class RowUncertainty(Value):
     freedom: Mapping[str, Array]
     #: The units of the scalars
     channels: Channels
+    #: Scale of ``predicted`` with which its t distribution of ``freedom`` is like the sum of its parts, by the symbol
+    #: of the unit, shape (N,) each; 1 where it is missing
+    factor: Mapping[str, Array] = field(default_factory=ReadOnlyMapping)
 
     def __post_init__(self) -> None:
-        """Keep a read-only copy of the mapping."""
-        keep_read_only(self, "freedom")
+        """Keep read-only copies of the mappings."""
+        keep_read_only(self, "freedom", "factor")
 
     def of_errors(self, unit: str) -> Array:
         """Return the expanded uncertainty of each row's error in a unit, shape (N,); NaN where it is not known.
@@ -79,6 +82,7 @@ class RowUncertainty(Value):
             predicted=self.predicted[first],
             measured=np.sqrt(variance)[None],
             freedom={symbol: of_unit[first] for symbol, of_unit in self.freedom.items()},
+            factor={symbol: of_unit[first] for symbol, of_unit in self.factor.items()},
             channels=self.channels.select(first),
         )
         return float(alone.of_errors(unit)[0])
@@ -92,6 +96,8 @@ class RowUncertainty(Value):
             return read_only(result)
         mask = of_unit[known]
         predicted = self.predicted[known] * (mask[:, :, None] & mask[:, None, :])
+        if unit in self.factor:
+            predicted = self.factor[unit][known][:, None, None] * predicted
         noise = variance[known] * mask
         total = predicted + noise[:, :, None] * np.eye(mask.shape[1])
         by_prediction = np.trace(predicted, axis1=1, axis2=2)
@@ -143,6 +149,7 @@ def row_uncertainty(
     width = rows.width
     predicted = np.full((len(rows), width, width), np.nan)
     freedom = {unit: np.full(len(rows), np.inf) for unit in RESIDUAL_UNITS}
+    factor = {unit: np.ones(len(rows)) for unit in RESIDUAL_UNITS}
     known = (target >= 0) & ~rows.where(lambda kind: kind.paired or kind.of_joint)
     for in_base in (False, True):
         chosen = np.flatnonzero(known & ((frame < 0) == in_base))
@@ -160,11 +167,16 @@ def row_uncertainty(
         T_frame_base = setup.T_frame_base[some.samples.frame] if in_base else None
         predicted[chosen] = _of_scalars(some, at_rows, T_frame_base)
         for unit in RESIDUAL_UNITS:
-            of_unit = at_rows.orientation_freedom if unit == "rad" else at_rows.position_freedom
-            freedom[unit][chosen] = of_unit
-    return RowUncertainty(
-        read_only(predicted), _measured_std(result, rows, table, cell), freedom, rows.channels
-    )
+            U, nu, V = at_rows.position, at_rows.position_freedom, at_rows.covariance[:, :3, :3]
+            if unit == "rad":
+                U, nu = at_rows.orientation, at_rows.orientation_freedom
+                V = at_rows.covariance[:, 3:, 3:]
+            by_covariance = covered_length(V, nu)
+            freedom[unit][chosen] = nu
+            is_uncertain = by_covariance > 0.0
+            factor[unit][chosen[is_uncertain]] = (U / by_covariance)[is_uncertain] ** 2
+    stds = _measured_std(result, rows, table, cell)
+    return RowUncertainty(read_only(predicted), stds, freedom, rows.channels, factor)
 
 
 def _of_scalars(rows: Rows, at_rows: PoseUncertainty, T_frame_base: Array | None) -> Array:
