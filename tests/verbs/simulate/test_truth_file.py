@@ -11,9 +11,15 @@ from calib.data.cell import Cell
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
-from calib.verbs.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.verbs.simulate.disturbances import (
+    Encoder,
+    FrameStep,
+    MovedTarget,
+    Outliers,
+    StandingTargets,
+)
 from calib.verbs.simulate.equipment import usual_camera
-from calib.verbs.simulate.scenario import Scenario
+from calib.verbs.simulate.scenario import Scenario, simulate
 from calib.verbs.simulate.truth import tracker_pose
 from calib.verbs.simulate.truth_file import SCHEMA, write_truth
 from tests.places import ROOT
@@ -174,6 +180,18 @@ def test_the_document_has_every_key_and_no_other(path):
     assert sorted(keys) == sorted(said)
     for first, content in rows:
         for key in re.findall(r"`(\w+)", first):
-            value = said[key][0] if isinstance(said[key], list) else said[key]
+            value = said[key]
+            if isinstance(value, list):  # there may be no references
+                value = value[0] if value else None
             if isinstance(value, dict):
                 assert set(value) <= set(re.findall(r"`(\w+)", content)), key
+
+
+def test_references_and_a_step_of_the_frame(ur3, tmp_path):
+    step = FrameStep(3, np.array([0.0, 1e-4, 0.0]))
+    scenario = Scenario(ur3, step=step, standing=StandingTargets(2, 5))
+    made = simulate(scenario, 5, 0, seed=1)
+    said = json.loads(write_truth(scenario, made, tmp_path / "truth.json").read_text())
+    assert said["events"]["step"] == {"from_row": 3, "displacement_m": [0, 1e-4, 0]}
+    assert [one["target"] for one in said["references"]] == ["reference 1", "reference 2"]
+    np.testing.assert_array_equal([one["xyz_m"] for one in said["references"]], made.standing)
