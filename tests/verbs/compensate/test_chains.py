@@ -11,6 +11,7 @@ import pytest
 from calib.data.cell import Cell
 from calib.errors import MeasurementError, ModelError, UrdfError
 from calib.result.calibrate import calibrate
+from calib.robot.gravity import Payload
 from calib.robot.ranges import random_joint_values
 from calib.verbs.compensate.command import _check_hand
 from calib.verbs.compensate.compensate import compensate
@@ -44,6 +45,13 @@ def test_the_calibrated_hand_reaches_the_programmed_target():
     T_frame_base = c.setup.T_frame_base[0]
     expected = np.linalg.inv(T_frame_base) @ c.predict_poses(whole, target="b")
     np.testing.assert_allclose(pair.actual.poses(q), expected, atol=1e-9)
+
+
+def test_a_payload_changes_nothing_of_a_geometry_for_several_chains_and_is_refused():
+    load = Payload(2.0, np.zeros(3))
+    with pytest.raises(ModelError, match="of several chains, and its non-geometric model"):
+        pair_of(fitted(), tool="b", non_geometric=load)
+    assert pair_of(fitted(), tool="b", non_geometric=True).target == "b"
 
 
 def test_a_tool_on_the_other_hand_is_refused():
