@@ -36,7 +36,7 @@ from calib.basics.json_files import (
     read_json,
 )
 from calib.basics.records import json_key
-from calib.basics.values import ReadOnlyMapping, shown_by
+from calib.basics.values import ReadOnlyMapping
 from calib.boards.board import Board
 from calib.camera.camera import UNKNOWN, Camera
 from calib.camera.lenses import LENSES
@@ -463,10 +463,10 @@ def result_table(c: Calibration) -> dict[str, Any]:
 
 def _forecast_table(c: Calibration) -> dict[str, Any]:
     """Return forecasts of the rms error of fresh rows by model and unit; it follows from the rest, and is not read."""
-    table_of = shown_by("uncertainty.forecast").forecast_table
-    table = {"urdf": table_of(c.forecast(non_geometric=False)), "non_geometric": None}
-    if c.non_geometric is not None:
-        table["non_geometric"] = table_of(c.forecast())
+    table = {}
+    for name, part in (("urdf", c.geometry), ("non_geometric", c.non_geometric)):
+        forecast = None if part is None else c.forecast(non_geometric=name != "urdf")
+        table[name] = None if forecast is None else forecast.table()
     return table
 
 

@@ -108,6 +108,11 @@ class FreshError(Value):
         of_held_out = self.freedom_of_row * (1.0 - self.outliers) * self.held_out
         return self.rms * _limit(self.freedom_of_row, of_held_out, self.rows)
 
+    def table(self) -> dict[str, Any]:
+        """Return the figures by the unit, as files have them, in SI units."""
+        figures = asdict(self) | {"low": self.low, "high": self.high, "limit": self.limit}
+        return {figures.pop("unit"): figures}
+
     def compared(self, errors: ArrayLike) -> FreshRows:
         """Compare fresh rows with the forecast, which becomes one for as many rows.
 
@@ -301,11 +306,3 @@ def forecast(
         there = float(np.sqrt(np.mean(at_joints.position_std**2) + 3.0 * noise**2))
         found = replace(found, rms=max(found.rms, there), rows=float(len(at_joints.poses)))
     return found if rows is None else replace(found, rows=float(rows))
-
-
-def forecast_table(found: FreshError | None) -> dict[str, Any] | None:
-    """Return a forecast as a table by its unit, as files have it, in SI units; None for none."""
-    if found is None:
-        return None
-    figures = asdict(found) | {"low": found.low, "high": found.high, "limit": found.limit}
-    return {figures.pop("unit"): figures}

@@ -12,7 +12,7 @@ import pytest
 from calib.errors import ArgumentError, ModelError
 from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
-from calib.uncertainty.forecast import FreshError, forecast, forecast_table, fresh_error
+from calib.uncertainty.forecast import FreshError, forecast, fresh_error
 
 #: Errors of a row along three directions, by a generator and a number of rows.
 Draw = Callable[[np.random.Generator, int], np.ndarray]
@@ -168,8 +168,7 @@ def test_forecast_of_a_calibration(calibrated, tmp_path):
     assert place.outliers == 0
     assert 1e-3 < place.probability < 0.999
     assert c.forecast(rows=5).spread > found.spread > c.forecast(rows=np.inf).spread
-    assert forecast_table(found)["m"]["high"] == found.high
-    assert forecast_table(None) is None
+    assert found.table()["m"]["high"] == found.high
 
     path = c.write_json(tmp_path / "result.json")
     assert Calibration.read_json(path).forecast() == found

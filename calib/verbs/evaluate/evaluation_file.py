@@ -9,7 +9,7 @@ from typing import Any
 from calib.basics.dates import date_text, now
 from calib.result.board_errors import board_table
 from calib.result.calibration_file import drift_table, error_table, pose_table, versions
-from calib.uncertainty.forecast import FreshRows, forecast_table
+from calib.uncertainty.forecast import FreshRows
 from calib.verbs.evaluate.acceptance import Acceptance, Assessment
 from calib.verbs.evaluate.accuracy import Accuracy
 from calib.verbs.evaluate.characteristics import Characteristic
@@ -129,5 +129,5 @@ def fresh_table(fresh: FreshRows) -> dict[str, Any]:
         "found": fresh.rms,
         "probability": fresh.probability,
         "within": fresh.within,
-        "forecast": forecast_table(fresh.forecast),
+        "forecast": fresh.forecast.table(),
     }
