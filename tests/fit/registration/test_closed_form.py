@@ -92,6 +92,23 @@ def test_orientations_of_a_known_frame_or_target_need_no_start(make_scene, frame
     assert orientation_setup(fixed, T_base_tip, rows) is None
 
 
+def test_a_known_frame_stays_and_so_does_one_that_no_row_sees(make_scene, join):
+    scene = make_scene(3, frames=2)
+    table = join(scene.points(6), scene.points(6, 1))
+    T_base_tip, setup, rows = measured(scene, table, Cell(estimate_frame=True))
+    T_frame_base = scene.kinematics.T_frame_base.copy()
+    T_frame_base[:, :3, 3] += 0.01
+    start = setup.with_poses(T_frame_base, scene.kinematics.T_tip_target)
+    known = start.with_fixed(np.array([False, True]), np.array([False]))
+    found = with_frames_fitted(known, T_base_tip, rows).T_frame_base
+    np.testing.assert_allclose(found[0], scene.kinematics.T_frame_base[0], atol=1e-9)
+    np.testing.assert_array_equal(found[1], T_frame_base[1])
+    of_first = rows.samples.frame == 0
+    found = with_frames_fitted(start, T_base_tip[of_first], rows.select(of_first)).T_frame_base
+    np.testing.assert_allclose(found[0], scene.kinematics.T_frame_base[0], atol=1e-9)
+    np.testing.assert_array_equal(found[1], T_frame_base[1])
+
+
 def test_a_frame_is_fitted_to_points_of_known_targets(make_scene):
     scene = make_scene(3)
     T_base_tip, setup, rows = measured(scene, scene.points(3), Cell(estimate_frame=True))
