@@ -64,7 +64,7 @@ class RealSet:
     robot: str
     table: str
     #: Options of `calib.calibrate`: base, tip, frame
-    options: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, str] | None = None
     kind: str | None = None
     #: Cell file

@@ -290,18 +290,20 @@ def _in_result(
 ) -> Rows:
     """Number frames and targets of rows as the result does; `ModelError` if it lacks one."""
     setup, samples = reference.part.setup, rows.samples
-    frame = numbered_as(groups, setup.groups, samples.frame)
-    target = numbered_as(targets, setup.targets, samples.target)
-    for what, found, of_table, known in (
-        ("stations", frame, groups, setup.groups),
-        ("targets", target, targets, setup.targets),
+    numbers = []
+    for what, of_table, known, index in (
+        ("stations", groups, setup.groups, samples.frame),
+        ("targets", targets, setup.targets, samples.target),
     ):
-        if found is None:
+        number = numbered_as(of_table, known, index)
+        if number is None:
             lacking = [name for name in of_table if name not in known]
             raise ModelError(
                 f"{source or 'Measurements'}: the result has the {what} {choices(known)}; the table's "
                 f"{choices(lacking)} are not among them. Check with rows of these."
             )
+        numbers.append(number)
+    frame, target = numbers
     return replace(rows, samples=replace(samples, frame=frame, target=target))
 
 

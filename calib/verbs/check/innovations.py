@@ -182,13 +182,16 @@ class Reference(Value):
             arm = points[of_stop].mean(axis=0) - seen.T_frame_target[of_stop[0], :3, 3]
             A[:, :, 3:] += np.cross(A[:, :, :3], arm)  # turns about the middle of what is measured
             A, L = A[used], lacking[of_stop[0]]
-            values = (y[of_stop][used], J[of_stop][used], D[of_stop][used], A)
+            reduce = np.eye(int(used.sum()))
             if rows.is_image[of_stop].all():
-                values = _projected(A, values)
+                reduce = _column_space(A).T
             elif self.shared == 0.0:
                 # As if repeats of a target were one row: how far they are independent is not known.
-                values = tuple(value / np.sqrt(len(of_stop)) for value in values)
-            of_y, of_J, of_D, of_A = values
+                reduce = reduce / np.sqrt(len(of_stop))
+            of_y, of_J, of_D, of_A = (
+                reduce @ values
+                for values in (y[of_stop][used], J[of_stop][used], D[of_stop][used], A)
+            )
             result.append(
                 Stop(
                     rows=tuple(numbers[i] for i in of_stop.tolist()),
@@ -284,12 +287,11 @@ def _scalars_of_a_row(result: Calibration, unit: str) -> float:
     return float(of_unit[of_unit > 0].mean()) if of_unit.any() else 1.0
 
 
-def _projected(A: Array, values: Sequence[Array]) -> tuple[Array, ...]:
-    """Project values of s scalars, (s,) or (s, q), on the column space of A, (s, 6): on its left singular vectors."""
+def _column_space(A: Array) -> Array:
+    """Return an orthonormal basis of the column space of A, (s, 6), by its left singular vectors, (s, r)."""
     size = np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
     U, singular, _ = np.linalg.svd(A / size, full_matrices=False)
-    Q = U[:, singular > _ROUNDING * singular[0]]
-    return tuple(Q.T @ value for value in values)
+    return np.asarray(U[:, singular > _ROUNDING * singular[0]])
 
 
 def stacked(stops: Sequence[Stop]) -> Stack:
