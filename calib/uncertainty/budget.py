@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import brentq
 
 from calib.basics.arrays import Array
 from calib.basics.values import ReadOnlyMapping, Value, keep_read_only
@@ -172,4 +171,7 @@ def _rows_factor(uncertainty: PoseUncertainty) -> float:
     most = float(np.log(_MOST_ROWS))
     if whole <= 0.0 or excess(most) > 0.0:
         return np.inf
+    # Not above: SciPy's optimisers take longer to import than a budget takes.
+    from scipy.optimize import brentq
+
     return float(np.exp(brentq(excess, 0.0, most, xtol=1e-3)))

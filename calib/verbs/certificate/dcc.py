@@ -18,10 +18,11 @@ from calib.basics.dates import parse_date
 from calib.basics.files import write_atomically
 from calib.errors import CalibError, choices
 from calib.result.calibration_file import versions
+from calib.show.budget_table import SOURCES
 from calib.show.verdict_text import reason_text
 from calib.uncertainty.coverage import PROBABILITY
 from calib.verbs.certificate.certificate import Certificate, Decision
-from calib.verbs.certificate.text import SOURCES, gap_text, method_sentences, rule_sentences
+from calib.verbs.certificate.text import gap_text, method_sentences, rule_sentences
 
 #: The schema, and where a reader finds it.
 VERSION = "3.2.1"

@@ -22,6 +22,7 @@ from calib.show.blocks import (
     Verdict,
     report_date,
 )
+from calib.show.budget_table import budget_table
 from calib.show.first_page import FirstPage, Line, robot_name
 from calib.show.lines import listed
 from calib.show.report_file import check_report, report_bytes
@@ -56,7 +57,7 @@ def page(c: Certificate) -> Page:
         Section(lambda: [Facts(_instrument(c))], "Instrument and conditions", on=HTML),
         Section(lambda: [Bullets(list(method_sentences(c)), on=HTML)], "Method", on=HTML),
         Section(partial(tables.point_tables, c), "Results"),
-        Section(lambda: [tables.budget_table(c)], "Uncertainty budget", whole=True),
+        Section(lambda: [budget_table(c.budget)], "Uncertainty budget", whole=True),
         Section(partial(_rule, c), "Decision rule"),
         Section(partial(_validity, c), "Validity", whole=True),
         Section(

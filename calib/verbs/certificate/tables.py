@@ -1,4 +1,4 @@
-"""The tables of a certificate: deviations by point, their summary, budget, validity, decision."""
+"""The tables of a certificate: deviations by point, their summary, validity, decision."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calib.show.tables import Column, Row, Table, name_column
 from calib.show.words import joint_unit
 from calib.verbs.certificate.certificate import Certificate
 from calib.verbs.certificate.points import Point
-from calib.verbs.certificate.text import DISTRIBUTIONS, SOURCES, probability, with_uncertainty
+from calib.verbs.certificate.text import probability, with_uncertainty
 
 #: A number of degrees of freedom from here on is as good as infinite.
 _MANY = 1000.0
@@ -99,45 +99,6 @@ def _freedom(freedom: float) -> str:
     if not math.isfinite(freedom):
         return "-"
     return f"> {_MANY:,.0f}" if freedom > _MANY else f"{math.floor(freedom)}"
-
-
-def budget_table(c: Certificate) -> Table:
-    """Tabulate the budget of the pose's uncertainty, over the points."""
-    rows: list[Row] = [
-        (
-            SOURCES[line.source],
-            line.position,
-            line.orientation,
-            DISTRIBUTIONS[line.distribution],
-            _freedom(line.freedom),
-            f"{100.0 * line.share:.0f} %",
-        )
-        for line in c.budget.lines
-    ]
-    total = c.budget
-    whole = (total.position_std, total.orientation_std, "", _freedom(total.freedom), "100 %")
-    rows.append(("combined standard uncertainty", *whole))
-    rows.append(("expanded uncertainty U (95.45 %)", total.position, total.orientation, "", "", ""))
-    columns = (
-        name_column("source", 34),
-        Column("position [mm]", 13, unit="mm", digits=4),
-        Column("orientation [deg]", 17, unit="deg", digits=5),
-        Column("distribution", 12, left=True, gap=2),
-        Column("freedom", 7),
-        Column("share", 6),
-    )
-    return Table(
-        "Budget of the uncertainty of the pose",
-        columns,
-        rows,
-        note=(
-            "Standard uncertainties, rms over the points, roots of the sums over three axes; share: of the variance of "
-            "the position."
-        ),
-        strong=(len(rows) - 2, len(rows) - 1),
-        title_above=True,
-        indent="  ",
-    )
 
 
 def box_table(c: Certificate) -> Table:

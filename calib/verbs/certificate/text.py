@@ -11,33 +11,10 @@ from calib.basics.values import one_line
 from calib.errors import choices
 from calib.show.lines import listed, number, plural, row_ranges
 from calib.show.words import chain_name, kinds_text, with_unit
-from calib.uncertainty.at_poses import Distribution, Source
 from calib.uncertainty.coverage import PROBABILITY
 from calib.verbs.certificate.certificate import Certificate, Decision
 from calib.verbs.certificate.rounding import rounded
 from calib.verbs.certificate.untested import Gap, Untested
-
-#: The sources of uncertainty in a budget.
-SOURCES: dict[Source, str] = {
-    Source.INSTRUMENT: "instrument, through the calibration's rows",
-    Source.SCALE: "scale of the instrument",
-    Source.FRAME: "measurement frame",
-    Source.TARGET: "target",
-    Source.REPEATABILITY: "repeatability of the robot",
-    Source.LOST_MOTION: "lost motion",
-    Source.DRIFT: "drift between series",
-    Source.MODEL: "what the model lacks",
-    Source.UNDETERMINED: "errors that the rows do not determine",
-    Source.RESOLUTION: "resolution of the joints' readings",
-    Source.TEMPERATURE: "temperature",
-}
-
-#: The distributions in a budget.
-DISTRIBUTIONS: dict[Distribution, str] = {
-    Distribution.NORMAL: "normal",
-    Distribution.STUDENT: "Student's t",
-    Distribution.UNIFORM: "uniform",
-}
 
 #: A probability below this, or so near to 1, is not written out.
 _SMALLEST = 1e-6

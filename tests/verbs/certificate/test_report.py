@@ -72,7 +72,7 @@ def test_the_table_of_points_has_every_deviation_rounded_to_its_uncertainty(pape
 
 
 def test_the_budget_adds_up(paper: Certificate):
-    _, *rows = page_of(paper).table("Budget")
+    _, *rows = page_of(paper).table("Uncertainty budget")
     *lines, combined, expanded = rows
     squares = sum(float(row[1]) ** 2 for row in lines)
     assert float(combined[1]) == pytest.approx(squares**0.5, rel=1e-3)
