@@ -539,6 +539,18 @@ def drift_table(drift: FrameDrift) -> dict[str, Any]:
     return _LAYOUT.table(drift)
 
 
+def file_table(c: Calibration) -> dict[str, Any]:
+    """Return all that a result's file has but checksums: the result, and the uncertainty and forecast that follow.
+
+    Args:
+        c: The calibration result.
+
+    Returns:
+        The tables of docs/result-json.md, in SI units.
+    """
+    return result_table(c) | {"uncertainty": uncertainty_table(c), "forecast": _forecast_table(c)}
+
+
 def write_result(
     c: Calibration,
     path: str | Path,
@@ -560,8 +572,7 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    followed = {"uncertainty": uncertainty_table(c), "forecast": _forecast_table(c)}
-    table = result_table(c) | followed | dict(extra or {})
+    table = file_table(c) | dict(extra or {})
     return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
 
 

@@ -2,7 +2,8 @@
 
 A result keeps what its calibration was told (`calib.result.call.Call`): names and hashes of its files, the whole cell,
 the method. Files are looked for by their names in the current folder and beside the result; of several the one with
-the recorded hash counts. Compared are all values of the two result files except for the time, and names of files.
+the recorded hash counts. Compared are all values of the two result files except for the time. Hashes, options and
+versions that are not as before are listed beside (`Change`).
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from calib.result.calibration_file import (
     EXPECTED,
     SCHEMA,
     call_table,
+    file_table,
     read_result,
-    result_table,
 )
 from calib.result.call import Call, file_hashes, plugin_hashes, split_name
 from calib.result.fitted_model import ParameterEstimate
@@ -236,7 +237,7 @@ class Record:
         Returns:
             Both results and what differs.
         """
-        now = json.loads(json_bytes(result_table(result) | dict(tables)))
+        now = json.loads(json_bytes(file_table(result) | dict(tables)))
         before = self.table.get("versions", {})
         changes = [
             *_changed_inputs(self.result, result),
