@@ -29,7 +29,7 @@ from calib.data.surroundings import TrackerNoise
 from calib.result.calibrate import calibrate
 from calib.robot.robot import Robot
 from calib.verbs.check.check import CheckResult, fresh_stops, judged
-from calib.verbs.check.innovations import LEVER, Reference
+from calib.verbs.check.innovations import LEVER, StoredResult
 from calib.verbs.check.poses import candidates_of, check_poses, further_poses
 from calib.verbs.simulate.scenario import Scenario, VirtualCell
 
@@ -140,12 +140,12 @@ def run_once(case: Case, seed: int) -> list[Outcome]:
     virtual, known = drawn_cell(case, seed)
     table = virtual.measure(virtual.poses(POSES, seed), seed).measurements
     result = calibrate(virtual.truth.nominal, table, cell=known, model="dh")
-    reference = Reference.of(result)
+    stored = StoredResult.of(result)
     poses = check_poses(result, 3, seed=seed).joints
-    candidates = candidates_of(reference, Cell(), seed)
+    candidates = candidates_of(stored, Cell(), seed)
     everywhere = virtual.poses(30, seed + 1)
     noise = float(np.hypot(NOISE, REPEATABILITY))
-    board = reference.part.board
+    board = stored.part.board
     if board is not None:
         noise = float(np.hypot(board.across_alone, board.depth_alone) / np.sqrt(3.0))
     outcomes = []
@@ -156,16 +156,16 @@ def run_once(case: Case, seed: int) -> list[Outcome]:
             size = float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
             after, error, joint = changed(virtual, change, size * noise, everywhere, rng)
             rows = measured(after, poses, error, 1000 * n + k + 1)
-            checked = judged(reference, fresh_stops(reference, rows, Cell()), test=test)
+            checked = judged(stored, fresh_stops(stored, rows, Cell()), test=test)
             test = checked.test
             outcome = _outcome(checked, change, joint, size)
             if checked.outcome == "undecided":
                 further = further_poses(checked, seed=k, candidates=candidates)
                 driven = np.concatenate([poses, further.joints])
                 again = fresh_stops(
-                    reference, measured(after, driven, error, 1000 * n + k + 1), Cell()
+                    stored, measured(after, driven, error, 1000 * n + k + 1), Cell()
                 )
-                second = judged(reference, again, test=test)  # the alarm was raised already
+                second = judged(stored, again, test=test)  # the alarm was raised already
                 decided = second.outcome != "undecided"
                 right = _outcome(second, change, joint, size).strict
                 outcome = replace(

@@ -465,7 +465,7 @@ def budgets(seeds: Sequence[int]) -> None:
             found = monte_carlo(result, chosen, in_base=cell.in_base, seed=number)
             ratios.append(found.ratio)
             budget = Budget.of(found.linear)
-            whole = sum(line.position**2 for line in budget.lines)
+            whole = sum(line.position_std**2 for line in budget.lines)
             sums.append(np.sqrt(whole) / budget.position_std)
             print(seed, f"{found.ratio:.3f}", found.trials, f"{sums[-1]:.6f}", flush=True)
     agree = float(np.mean(np.abs(np.array(ratios) - 1.0) <= LIKE))

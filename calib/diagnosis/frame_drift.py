@@ -55,6 +55,9 @@ _REFERENCE = "reference:"
 #: Targets on one line, within this share of their extent, do not show a rotation about it.
 _ON_A_LINE = 0.01
 
+#: A column of which less than this share is not in the range of others adds nothing to them.
+_IN_RANGE = 1e-4
+
 #: Readings of a target of which one may be off by itself: of two it cannot be told which.
 _TELLING = 3
 
@@ -337,7 +340,7 @@ def _beyond(base: Array, columns: Array) -> Array:
     """Return those of columns, (M, k), that are not in the range of an orthonormal base, (M, b)."""
     size = np.linalg.norm(columns, axis=0)
     left = columns / size - base @ (base.T @ (columns / size))
-    return np.asarray(columns[:, np.linalg.norm(left, axis=0) > _ON_A_LINE**2])
+    return np.asarray(columns[:, np.linalg.norm(left, axis=0) > _IN_RANGE])
 
 
 def _twists(points: Array) -> Array:

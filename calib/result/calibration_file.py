@@ -488,8 +488,8 @@ def _budget_table(budget: Any) -> dict[str, Any]:  # noqa: ANN401  of a module a
     lines = [
         {
             "source": line.source.value,
-            "position_std_m": line.position,
-            "orientation_std_rad": line.orientation,
+            "position_std_m": line.position_std,
+            "orientation_std_rad": line.orientation_std,
             "distribution": line.distribution.value,
             "freedom": line.freedom,
             "share": line.share,

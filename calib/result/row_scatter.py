@@ -19,7 +19,6 @@ import numpy as np
 
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.values import Value
-from calib.data.cell import Cell
 from calib.fit.estimate.fitting import Fitted
 from calib.fit.registration.rows import Rows
 from calib.model.kinematics import Kinematics, Samples
@@ -147,27 +146,35 @@ def joint_twists(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
 
 
 def instrument_variance(fitted: Fitted, unit: str, stated: Mapping[str, float]) -> float:
-    """Return the variance of the instrument's own noise of a scalar, in the square of its unit; NaN if none states it.
+    """Return the variance of the instrument's own noise of a scalar, at the distances of the rows.
 
     A limit by certificate counts first, then a standard deviation of table or cell, then the tracker's noise.
+
+    Args:
+        fitted: The fit to the rows, whose cell may state limits or a tracker.
+        unit: Symbol of the scalar's unit, ``"m"`` or ``"rad"``.
+        stated: Standard deviations that table or cell state, by the symbol of the unit.
+
+    Returns:
+        In the square of the unit; NaN if nothing states it.
     """
     cell = fitted.task.cell
-    of_table = cell.uncertainty
-    if unit == "rad" and of_table.instrument_limit_angle > 0.0:
-        return of_table.instrument_limit_angle**2 / 3.0
-    if unit == "m" and (of_table.instrument_limit or of_table.instrument_limit_per_length):
-        distance = _distance(fitted, cell)
-        return of_table.instrument_std(distance) ** 2
+    limits = cell.uncertainty
+    if unit == "rad" and limits.instrument_limit_angle > 0.0:
+        return limits.instrument_limit_angle**2 / 3.0
+    if unit == "m" and (limits.instrument_limit or limits.instrument_limit_per_length):
+        return limits.instrument_std(_distance(fitted)) ** 2
     if unit in stated:
         return stated[unit] ** 2
     if unit == "m" and cell.tracker is not None:
         noise = cell.tracker.noise
-        return (noise.constant + noise.per_length * _distance(fitted, cell)) ** 2
+        return (noise.constant + noise.per_length * _distance(fitted)) ** 2
     return np.nan
 
 
-def _distance(fitted: Fitted, cell: Cell) -> float:
+def _distance(fitted: Fitted) -> float:
     """Return the rms distance of the rows' targets from the instrument [m]: from the tracker, or the frame's origin."""
+    cell = fitted.task.cell
     rows = fitted.estimate.problem.rows
     T = fitted.kinematics.poses(fitted.estimate.x, rows.samples)
     origin = np.zeros((len(T), 3))
@@ -181,10 +188,9 @@ def _added_by_fits(fitted: Fitted) -> Array:
     """Return what a fit without a pose adds to the variance of its held-out scalars, (N, D), in their units squared."""
     estimate = fitted.estimate
     problem, rows = estimate.problem, estimate.problem.rows
-    A = problem.prediction_jacobian(estimate.x) if len(rows) <= _MOST_ROWS else None
-    if A is None:
+    if len(rows) > _MOST_ROWS:
         return np.zeros(rows.used.shape)
-    scales = problem.scales
+    A, scales = problem.prediction_jacobian(estimate.x), problem.scales
     whitened = np.where(rows.used[:, :, None], A / scales[:, :, None], 0.0)
     result = np.zeros(rows.used.shape)
     for pose in np.unique(rows.blocks).tolist():

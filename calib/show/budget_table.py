@@ -36,7 +36,7 @@ _REMEDIES = {
     Source.TARGET: "a target whose place is measured better",
     Source.REPEATABILITY: "approaches alike, or another robot",
     Source.LOST_MOTION: "approaches from one side, or the model 'lost_motion'",
-    Source.DRIFT: "reference targets between the poses, and a warm-up",
+    Source.DRIFT: "references measured in every series, and a warm-up",
     Source.MODEL: "a model with further families of errors",
     Source.UNDETERMINED: "poses where none were measured",
     Source.RESOLUTION: "joint readings with more digits",
@@ -70,8 +70,8 @@ def budget_table(budget: Budget, *, angles: bool = True, on: Medium = EVERYWHERE
     rows = [
         row(
             SOURCES[line.source],
-            line.position,
-            line.orientation,
+            line.position_std,
+            line.orientation_std,
             line.distribution.value,
             _freedom(line.freedom),
             f"{100.0 * line.share:.0f}",

@@ -1,4 +1,4 @@
-"""Uncertainty of the pose that a calibrated robot reaches, at each of some poses, by its sources.
+"""Uncertainty of the pose that a calibrated robot reaches, at each of some joint values, by its sources.
 
 The measurand is where the target truly is when the robot has arrived once at the given joint readings q, minus where
 the model predicts it, in the measurement frame or in the base. Its error is the sum of independent parts, each with a
@@ -9,11 +9,12 @@ covariance of the six displacements [m, rad] along and about the axes of the fra
 With the derivatives J of the pose by the parameters, their covariance C, and J_q by the joint readings the parts are
 
     instrument     J (C_r - C_r P C_r) J^T     noise of the rows, through the fit; C_r: frame and target known
-    undetermined   J C_r P C_r J^T + u^2       what the rows leave to the priors, of precision P; u: families of errors
+    undetermined   J C_r P C_r J^T + ...       what the rows leave to the priors, of precision P, and families of errors
                                                whose sizes the rows do not tell
     target         J (C_f - C_r) J^T           what knowing the target would take off; C_f: frame known
     frame          J (C - C_f) J^T             what knowing the frame would take off
-    scale          J g g^T J^T s^2             lengths of the instrument that are off by the share s
+    scale          J g g^T J^T s^2             lengths of the instrument that are off by the share s; g: what the
+                                               parameters change by if all lengths grow by 1
     repeatability  r^2 I                       scatter of arrivals at one pose
     model          m^2 I + (f - 1) (...)       what the model lacks, at the measured poses and beyond them
     lost_motion    J_q J_q^T b^2 / 3           as stated
@@ -51,7 +52,6 @@ from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
 from calib.model.error_model import FRAME, TARGET
 from calib.model.kinematics import Samples
-from calib.numerics.errors import rms
 from calib.result.calibration import Calibration
 from calib.result.fitted_model import FittedModel
 from calib.result.row_scatter import joint_twists
@@ -545,12 +545,11 @@ def _of_temperature(
 ) -> Iterator[Contribution]:
     """Yield the part that the growth of arm and instrument is of."""
     stated = result.stated_uncertainty
-    covariance = np.zeros((len(poses), 6, 6))
     from_base = np.zeros((len(poses), 6, 1))
     origin = np.zeros(3) if in_base else model.setup.T_frame_base[samples.frame][:, :3, 3]
     from_base[:, :3, 0] = poses[:, :3, 3] - origin
     growth = stated.arm_expansion**2 * _mean_square_temperature(result)
-    covariance = covariance + growth * (from_base @ from_base.transpose(0, 2, 1))
+    covariance = growth * (from_base @ from_base.transpose(0, 2, 1))
     measured = result.record.temperature_C
     if len(measured) > 1 and model.scale is not None:
         grown = (twists @ model.scale.growth)[:, :, None]
@@ -596,8 +595,3 @@ def _by_source(parts: tuple[Contribution, ...]) -> list[Contribution]:
         freedom = float(np.sum(sizes)) ** 2 / shares if shares > 0.0 else np.inf
         result.append(_part(source, covariance, leading.distribution, freedom))
     return result
-
-
-def rms_over_poses(uncertainty: PoseUncertainty) -> tuple[float, float]:
-    """Return the combined standard uncertainties of position [m] and orientation [rad], rms over the poses."""
-    return rms(uncertainty.position_std), rms(uncertainty.orientation_std)

@@ -33,8 +33,8 @@ class BudgetLine:
 
     source: Source
     #: Standard uncertainty of the position [m] and of the orientation [rad], rms over the poses
-    position: float
-    orientation: float
+    position_std: float
+    orientation_std: float
     distribution: Distribution
     #: Degrees of freedom; infinite if it is known
     freedom: float

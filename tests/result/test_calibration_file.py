@@ -566,7 +566,7 @@ def test_the_budget_is_in_the_file_and_is_not_read(default_result: Calibration, 
     assert list(lines) == [line.source.value for line in budget.lines]
     for line in budget.lines:
         stated = lines[line.source.value]
-        assert stated["position_std_m"] == line.position
+        assert stated["position_std_m"] == line.position_std
         assert stated["freedom"] == (line.freedom if np.isfinite(line.freedom) else None)
         assert stated["without_m"] == budget.without[line.source]
     variance = sum(line["position_std_m"] ** 2 for line in table["lines"])

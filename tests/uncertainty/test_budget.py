@@ -23,9 +23,9 @@ def test_the_lines_add_up_to_the_whole(tracked):
     for everywhere in (False, True):
         budget = tracked.budget(everywhere=everywhere)
         assert budget.poses == 200
-        squares = sum(line.position**2 for line in budget.lines)
+        squares = sum(line.position_std**2 for line in budget.lines)
         assert np.sqrt(squares) == pytest.approx(budget.position_std, rel=1e-9)
-        squares = sum(line.orientation**2 for line in budget.lines)
+        squares = sum(line.orientation_std**2 for line in budget.lines)
         assert np.sqrt(squares) == pytest.approx(budget.orientation_std, rel=1e-9)
         assert sum(line.share for line in budget.lines) == pytest.approx(1.0)
         assert [line.share for line in budget.lines] == sorted(

@@ -147,7 +147,7 @@ class Again(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record:
+class ResultFile:
     """A result file: the result, what its calibration was told, and its tables."""
 
     path: Path
@@ -156,7 +156,7 @@ class Record:
     table: Json
 
     @classmethod
-    def read(cls, path: str | Path) -> Record:
+    def read(cls, path: str | Path) -> ResultFile:
         """Read a result, after the plugins that its calibration had.
 
         Args:
@@ -288,7 +288,7 @@ def again(
         CalibError: The file has no record, an input was given in memory, or only one is given here; else as of
             `calib.calibrate`.
     """
-    record = Record.read(path)
+    record = ResultFile.read(path)
     told = record.call
     arm: RobotInput
     table: TableInput

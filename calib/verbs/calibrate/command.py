@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from calib.result.calibration import Calibration
     from calib.result.call import Call
     from calib.robot.robot import Robot
-    from calib.verbs.calibrate.again import Record
+    from calib.verbs.calibrate.again import ResultFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,7 +302,7 @@ _OVER_A_RECORD = (
 
 
 def _told(
-    record: Record | None,
+    record: ResultFile | None,
     robot: str | None,
     data: Path | None,
     cell_options: FitOptions,
@@ -419,10 +419,10 @@ def calibrate(
         stack.enter_context(work_line(quiet=quiet))
         begin(Stage.READING)
         if again is not None:
-            from calib.verbs.calibrate.again import Record
+            from calib.verbs.calibrate.again import ResultFile
 
             trying(again.name)
-            record = Record.read(again)
+            record = ResultFile.read(again)
         told = _told(record, robot, data, cell_options, table_options, solver_options, intervals)
         if record is not None:
             intervals = replace(

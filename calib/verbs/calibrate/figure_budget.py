@@ -22,7 +22,7 @@ def shares(c: Calibration) -> Figure:
     ax = figure.subplots()
     look: dict[str, Any] = {"color": CALIBRATED, "ec": "white", "height": 0.66}
     bars = ax.barh(np.arange(len(lines)), [100.0 * line.share for line in lines], **look)
-    sizes = [f"{100.0 * line.share:.0f} %, {1e3 * line.position:.3f} mm" for line in lines]
+    sizes = [f"{100.0 * line.share:.0f} %, {1e3 * line.position_std:.3f} mm" for line in lines]
     ax.bar_label(bars, sizes, padding=3, size=8)
     ax.set_yticks(range(len(lines)), [SOURCES[line.source] for line in lines])
     ax.invert_yaxis()

@@ -54,8 +54,8 @@ def certificate_table(c: Certificate) -> dict[str, Any]:
             "lines": [
                 {
                     "source": line.source.value,
-                    "position_m": line.position,
-                    "orientation_rad": line.orientation,
+                    "position_std_m": line.position_std,
+                    "orientation_std_rad": line.orientation_std,
                     "distribution": line.distribution.value,
                     "freedom": line.freedom,
                     "share": line.share,

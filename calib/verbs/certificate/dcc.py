@@ -512,11 +512,16 @@ def _budget(c: Certificate) -> Element:
     listed = [
         _quantity(name, f"calib_{ref}", _real_list(values, unit, labels=sources))
         for name, ref, values, unit in (
-            ("Standard uncertainty of the position", "position", [x.position for x in lines], "m"),
+            (
+                "Standard uncertainty of the position",
+                "position",
+                [x.position_std for x in lines],
+                "m",
+            ),
             (
                 "Standard uncertainty of the orientation",
                 "orientation",
-                [x.orientation for x in lines],
+                [x.orientation_std for x in lines],
                 "rad",
             ),
             ("Share of the variance", "share", [x.share for x in lines], "1"),

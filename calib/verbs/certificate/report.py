@@ -57,7 +57,11 @@ def page(c: Certificate) -> Page:
         Section(lambda: [Facts(_instrument(c))], "Instrument and conditions", on=HTML),
         Section(lambda: [Bullets(list(method_sentences(c)), on=HTML)], "Method", on=HTML),
         Section(partial(tables.point_tables, c), "Results"),
-        Section(lambda: [budget_table(c.budget)], "Uncertainty budget", whole=True),
+        Section(
+            lambda: [budget_table(c.budget, angles="rad" in c.units)],
+            "Uncertainty budget",
+            whole=True,
+        ),
         Section(partial(_rule, c), "Decision rule"),
         Section(partial(_validity, c), "Validity", whole=True),
         Section(

@@ -17,7 +17,7 @@ from calib.basics.arrays import Array, rigid_inverse
 from calib.basics.values import Value
 from calib.model.error_model import FRAME, TARGET
 from calib.verbs.check.evidence import Directions
-from calib.verbs.check.innovations import LEVER, Reference, Stack
+from calib.verbs.check.innovations import LEVER, Stack, StoredResult
 
 #: The kind of a cause.
 Code = Literal["frame", "target", "base", "hand", "joint", "row", "other"]
@@ -36,8 +36,8 @@ class Cause(Value):
     code: Code
     #: Name of the frame, target or joint; "" for the only frame or target, the base, the hand, a row and others
     name: str
-    #: (c, d), how the c displacements of `Reference.displaced` follow from those of the cause, each of 1 m: a turn is
-    #: that at the end of `LEVER`; empty for rows
+    #: (c, d), how the c displacements of `StoredResult.displaced` follow from those of the cause, each of 1 m: a turn
+    #: is that at the end of `LEVER`; empty for rows
     mixing: Array
     #: Units of these d displacements, ``"m"`` or ``"rad"``
     units: tuple[str, ...]
@@ -52,13 +52,13 @@ class Cause(Value):
         return np.array([1.0 if unit == "m" else 1.0 / LEVER for unit in self.units])
 
 
-def moving_causes(reference: Reference) -> tuple[Cause, ...]:
+def moving_causes(stored: StoredResult) -> tuple[Cause, ...]:
     """List what may have moved: the frames, the targets, the base, the hand, and each joint's zero.
 
     Args:
-        reference: The result, with all its frames, targets and joints.
+        stored: The result, with all its frames, targets and joints.
     """
-    model, setup = reference.displaced.model, reference.part.setup
+    model, setup = stored.displaced.model, stored.part.setup
     frames, targets = setup.places
     c = len(model)
     causes = []

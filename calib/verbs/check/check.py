@@ -34,7 +34,7 @@ from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.ranges import spread_between, spread_poses
 from calib.verbs.check.causes import MOVING, Cause, Code, causes_of, moving_causes
 from calib.verbs.check.evidence import Directions, EvidenceTest, estimate, log_weights
-from calib.verbs.check.innovations import LEVER, Reference, Stack, Stop, numbered_as, stacked
+from calib.verbs.check.innovations import LEVER, Stack, Stop, StoredResult, numbered_as, stacked
 
 #: ``"nothing"``: no evidence that anything has moved; ``"moved"``: one cause has at least `SURE`; ``"undecided"``:
 #: something has moved, and several causes explain it; ``"row"``: a single stop is off; ``"other"``: none of the causes.
@@ -119,7 +119,7 @@ class CheckResult(Value):
     #: Tolerance of positions, as given [m]; None: none
     tolerance: float | None
     #: The result, prepared to be compared with
-    reference: Reference
+    stored: StoredResult
     #: The stops, whitened
     stack: Stack
     #: The causes that were weighed
@@ -167,9 +167,7 @@ class CheckResult(Value):
     @property
     def noticed(self) -> tuple[Noticed, ...]:
         """The smallest displacement of each cause that would have been noticed; it is computed when it is asked for."""
-        return tuple(
-            _noticed(self.test, self.stack, cause) for cause in moving_causes(self.reference)
-        )
+        return tuple(_noticed(self.test, self.stack, cause) for cause in moving_causes(self.stored))
 
     @property
     def matters(self) -> bool | None:
@@ -211,14 +209,14 @@ def check(
     result = result_of(calibration)
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0)
-    reference = Reference.of(result)
-    stops = fresh_stops(reference, measurements, cell_of(cell))
-    return judged(reference, stops, tolerance)
+    stored = StoredResult.of(result)
+    stops = fresh_stops(stored, measurements, cell_of(cell))
+    return judged(stored, stops, tolerance)
 
 
-def fresh_stops(reference: Reference, measurements: TableInput, cell: Cell) -> tuple[Stop, ...]:
+def fresh_stops(stored: StoredResult, measurements: TableInput, cell: Cell) -> tuple[Stop, ...]:
     """Read fresh rows as stops, compared with what a result predicts; errors as of `check`."""
-    result = reference.result
+    result = stored.result
     known = result.complete_cell(with_chain_of_result(cell, result, "The calibration"))
     if result.non_geometric is not None:
         payload = known.payload or result.non_geometric.payload
@@ -227,22 +225,22 @@ def fresh_stops(reference: Reference, measurements: TableInput, cell: Cell) -> t
         measurements = read_fresh(result, measurements)
     arm, table, known = inputs_of(result.nominal, measurements, known)
     rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
-    rows = _in_result(reference, rows, setup.groups, setup.targets, table.source)
+    rows = _in_result(stored, rows, setup.groups, setup.targets, table.source)
     from_one_end = with_ends_of(
         table,
         known,
         rows,
-        reference.part.setup,
-        reference.displaced.robot.poses(rows.joints, rows.samples.chain),
+        stored.part.setup,
+        stored.displaced.robot.poses(rows.joints, rows.samples.chain),
     )
     if from_one_end.other_end:
         table = from_one_end
         rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
-        rows = _in_result(reference, rows, setup.groups, setup.targets, table.source)
+        rows = _in_result(stored, rows, setup.groups, setup.targets, table.source)
     if not rows.count:
         raise MeasurementError(f"{table.source or 'Measurements'}: no row measures anything.")
     stated = {unit for unit, values in table.stated_sigma.items() if np.isfinite(values).all()}
-    return reference.stops(rows, stated | set(cell.sigma), table.rows, table.images)
+    return stored.stops(rows, stated | set(cell.sigma), table.rows, table.images)
 
 
 def read_fresh(
@@ -286,10 +284,10 @@ def read_fresh(
 
 
 def _in_result(
-    reference: Reference, rows: Rows, groups: tuple[str, ...], targets: tuple[str, ...], source: str
+    stored: StoredResult, rows: Rows, groups: tuple[str, ...], targets: tuple[str, ...], source: str
 ) -> Rows:
     """Number frames and targets of rows as the result does; `ModelError` if it lacks one."""
-    setup, samples = reference.part.setup, rows.samples
+    setup, samples = stored.part.setup, rows.samples
     numbers = []
     for what, of_table, known, index in (
         ("stations", groups, setup.groups, samples.frame),
@@ -308,7 +306,7 @@ def _in_result(
 
 
 def judged(
-    reference: Reference,
+    stored: StoredResult,
     stops: tuple[Stop, ...],
     tolerance: float | None = None,
     test: EvidenceTest | None = None,
@@ -316,16 +314,16 @@ def judged(
     """Weigh the causes by stops that were compared with a result.
 
     Args:
-        reference: The result.
+        stored: The result.
         stops: The fresh stops.
         tolerance: As of `check`.
         test: Of an earlier check at the same poses; None: its distribution is drawn.
     """
-    result = reference.result
+    result = stored.result
     stack = stacked(stops)
-    moving = moving_causes(reference)
+    moving = moving_causes(stored)
     causes, directions = causes_of(moving, stack)
-    freedom = reference.freedom
+    freedom = stored.freedom
     weights = logsumexp(log_weights(directions, stack.y[:, None], freedom)[:, :, 0], axis=1)
     evidence = float(logsumexp(weights))
     if test is None:
@@ -333,7 +331,7 @@ def judged(
     p_value = test.p_value(evidence)
     probability = np.exp(weights - evidence)
     findings = [
-        _finding(reference, stack, causes[k], directions[k], float(probability[k]))
+        _finding(stored, stack, causes[k], directions[k], float(probability[k]))
         for k in np.argsort(-probability, kind="stable").tolist()
     ]
 
@@ -354,9 +352,9 @@ def judged(
         stops=len(stops),
         numbers=len(stack.y),
         ratio=float(np.sqrt(np.mean(stack.y**2))),
-        expected=_expected(reference),
+        expected=_expected(stored),
         tolerance=tolerance,
-        reference=reference,
+        stored=stored,
         stack=stack,
         causes=causes,
         directions=directions,
@@ -364,17 +362,17 @@ def judged(
     )
 
 
-def _expected(reference: Reference) -> float:
+def _expected(stored: StoredResult) -> float:
     """Return the expected error at poses like those measured, without that of the scale, which nothing moves [m]."""
-    part = reference.part
+    part = stored.part
     return float(np.sqrt(max(part.new_point[0] ** 2 - part.by_scale[0] ** 2, 0.0)))
 
 
 def _finding(
-    reference: Reference, stack: Stack, cause: Cause, directions: Directions, probability: float
+    stored: StoredResult, stack: Stack, cause: Cause, directions: Directions, probability: float
 ) -> Finding:
     """Estimate the displacement of a cause, and its effect."""
-    mean, covariance = estimate(directions, stack.y, reference.freedom)
+    mean, covariance = estimate(directions, stack.y, stored.freedom)
     if cause.code not in MOVING:
         shift = mean.reshape(-1, 6)[:, :3]
         size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
@@ -395,7 +393,7 @@ def _finding(
             cause.rows,
             cause.image,
         )
-    change, change_std = _effect(reference, cause, mean, covariance)
+    change, change_std = _effect(stored, cause, mean, covariance)
     if cause.code == "joint":
         unit = cause.units[0]
         size, std = (
@@ -414,12 +412,12 @@ def _finding(
 
 
 def _effect(
-    reference: Reference, cause: Cause, mean: Array, covariance: Array
+    stored: StoredResult, cause: Cause, mean: Array, covariance: Array
 ) -> tuple[float, float]:
     """Return the change of the target's positions over the fitted joint values, rms, and its standard deviation [m]."""
-    samples = _spread_samples(reference, cause)
-    _, twists = reference.displaced.twists(
-        np.zeros(len(reference.displaced.model)), samples, rotation=False
+    samples = _spread_samples(stored, cause)
+    _, twists = stored.displaced.twists(
+        np.zeros(len(stored.displaced.model)), samples, rotation=False
     )
     by_cause = twists @ cause.mixing
     change = np.sqrt(np.mean(np.sum((by_cause @ mean) ** 2, axis=1)))
@@ -429,9 +427,9 @@ def _effect(
     return float(change), float(np.sqrt(variance))
 
 
-def _spread_samples(reference: Reference, cause: Cause) -> Samples:
+def _spread_samples(stored: StoredResult, cause: Cause) -> Samples:
     """Return joint values over the fitted ranges, of the frame and the target of a cause, or of the first ones."""
-    result, setup = reference.result, reference.part.setup
+    result, setup = stored.result, stored.part.setup
     ranges = result.rows.ranges
     robot = result.robot
     q = spread_poses(robot)[:_POSES]

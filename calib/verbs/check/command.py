@@ -107,9 +107,9 @@ def check(
     if tolerance is not None:
         allowed = parse_amount(tolerance, "--tolerance", LENGTH, "0.2 mm")
     cell = cell_options.cell()
-    reference = read_result(result)
+    stored = read_result(result)
     if plan is not None:
-        poses = check_poses(reference, plan, cell, seed=seed)
+        poses = check_poses(stored, plan, cell, seed=seed)
         if output is not None:
             poses.write(output, overwrite=force)
         if not quiet:
@@ -117,13 +117,13 @@ def check(
         return
 
     assert data is not None
-    known = reference.complete_cell(cell)
+    known = stored.complete_cell(cell)
     with table_of(
         data, list(known.boards.values()), list(known.cameras.values()), quiet=quiet
     ) as path:
         points, unit = table_options.points, table_options.points_unit
-        rows = read_fresh(reference, path, table_options.parsed(), points, unit)
-    checked = check_rows(reference, rows, cell, tolerance=allowed)
+        rows = read_fresh(stored, path, table_options.parsed(), points, unit)
+    checked = check_rows(stored, rows, cell, tolerance=allowed)
     more = None
     if checked.outcome == "undecided":
         try:

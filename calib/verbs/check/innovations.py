@@ -77,7 +77,7 @@ class Stack(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference(Value):
+class StoredResult(Value):
     """A stored result, against which fresh stops are compared."""
 
     #: As made or read
@@ -96,7 +96,7 @@ class Reference(Value):
     freedom: float
 
     @classmethod
-    def of(cls, result: Calibration) -> Reference:
+    def of(cls, result: Calibration) -> StoredResult:
         """Prepare a result: the displacements, and the noise of fresh rows by its own and its held-out rows."""
         part = result.part(non_geometric=True)
         setup = part.setup

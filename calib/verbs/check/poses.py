@@ -39,7 +39,7 @@ from calib.robot.robot import Robot
 from calib.verbs.check.causes import MOVING, Cause, causes_of, moving_causes
 from calib.verbs.check.check import SURE, CheckResult
 from calib.verbs.check.evidence import estimate, log_weights
-from calib.verbs.check.innovations import Reference, Stop, stacked
+from calib.verbs.check.innovations import Stop, StoredResult, stacked
 from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
 from calib.verbs.plan.collision import CollisionCheck
 from calib.verbs.plan.plan_file import plan_rows
@@ -203,10 +203,10 @@ def check_poses(
     """
     check_whole("count", count, 1)
     result = result_of(calibration)
-    reference = Reference.of(result)
-    candidates = candidates_of(reference, cell_of(cell), seed)
-    moving = moving_causes(reference)
-    value = _value_of_sets(reference, moving, candidates, count, seed)
+    stored = StoredResult.of(result)
+    candidates = candidates_of(stored, cell_of(cell), seed)
+    moving = moving_causes(stored)
+    value = _value_of_sets(stored, moving, candidates, count, seed)
     rng = np.random.default_rng(seed)
     n = len(candidates.stops)
     sets = [rng.choice(n, min(count, n), replace=False) for _ in range(_SETS)]
@@ -253,12 +253,12 @@ def further_poses(
     """
     if check.outcome != "undecided":
         raise ModelError(f"The check has decided ('{check.outcome}'): no further poses are needed.")
-    reference = check.reference
-    freedom = reference.freedom
+    stored = check.stored
+    freedom = stored.freedom
     if candidates is None:
-        candidates = candidates_of(reference, cell_of(cell), seed)
+        candidates = candidates_of(stored, cell_of(cell), seed)
     rng = np.random.default_rng(seed)
-    moving = moving_causes(reference)
+    moving = moving_causes(stored)
 
     # What the check left possible: a cause, and its displacement.
     c = check.stack.by_displacements.shape[1]
@@ -319,7 +319,7 @@ def _key(cause: object) -> tuple[object, ...]:
 
 
 def _value_of_sets(
-    reference: Reference,
+    stored: StoredResult,
     moving: Sequence[Cause],
     candidates: Candidates,
     count: int,
@@ -327,7 +327,7 @@ def _value_of_sets(
 ) -> Callable[[Sequence[Stop]], float]:
     """Return the function that says what a set of ``count`` stops is worth."""
     rng = np.random.default_rng([seed, 1])
-    freedom = reference.freedom
+    freedom = stored.freedom
     drawn, true = [], []
     for cause in moving:
         shown = [np.sum((stop.by_displacements @ cause.mixing) ** 2) for stop in candidates.stops]
@@ -359,19 +359,19 @@ def _value_of_sets(
     return value
 
 
-def candidates_of(reference: Reference, cell: Cell, seed: int) -> Candidates:
+def candidates_of(stored: StoredResult, cell: Cell, seed: int) -> Candidates:
     """Draw reachable poses at which the first target is measured from the first frame.
 
     Args:
-        reference: The result.
+        stored: The result.
         cell: Boxes, joint ranges, tracker.
         seed: Of the poses.
 
     Raises:
         ModelError: A robot of several chains, a kind whose poses cannot be chosen, or no pose can be measured.
     """
-    result, setup = reference.result, reference.part.setup
-    robot = reference.displaced.robot
+    result, setup = stored.result, stored.part.setup
+    robot = stored.displaced.robot
     if robot.branches:
         raise ModelError(
             "Poses to check at are chosen for one chain, and this result has several: choose poses of your own, at "
@@ -435,12 +435,12 @@ def candidates_of(reference: Reference, cell: Cell, seed: int) -> Candidates:
     tiled = rows.select(np.tile(np.arange(k), n))
     q = np.repeat(pool.q, k, axis=0)
     load = None
-    if reference.part is result.non_geometric:
+    if stored.part is result.non_geometric:
         load = result.non_geometric.load(result.nominal, q, None)
     samples = replace(tiled.samples, q=q, moves=np.repeat(last_moves(pool.q), k, axis=0), load=load)
     numbers = np.repeat(np.arange(n), k)
     tiled = replace(tiled, samples=samples, poses=np.arange(len(q)), blocks=numbers)
-    stops = reference.stops(tiled, (), [int(number) + 1 for number in numbers], ())
+    stops = stored.stops(tiled, (), [int(number) + 1 for number in numbers], ())
     return Candidates(pool.q, stops, checked, sensitivity)
 
 

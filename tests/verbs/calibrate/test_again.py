@@ -19,7 +19,7 @@ import calib
 from calib.basics.json_files import read_json
 from calib.errors import CalibError, FileError
 from calib.result.calibration_file import EXPECTED, SCHEMA, write_table
-from calib.verbs.calibrate.again import Record, What, again, compare_tables
+from calib.verbs.calibrate.again import ResultFile, What, again, compare_tables
 from tests.cli_fixtures import calib as calib_program
 from tests.plugin_files import SOURCE, registries_kept, write_plugin
 
@@ -188,8 +188,8 @@ def test_options_count_over_those_of_the_record(made: Path, call: Call):
     record = load(made / "frames.json")["call"]
     assert record["cell"] == {"base": "base", "tip": "tool0", "model": "frames"}
     assert (record["robust"], record["validate"]) == (False, False)
-    first = Record.read(made / "result.json")
-    second = Record.read(made / "frames.json")
+    first = ResultFile.read(made / "result.json")
+    second = ResultFile.read(made / "frames.json")
     changes = first.compared(second.result, second.call, {}).changes
     assert [(each.name, each.before, each.now) for each in changes] == [
         ("robust", "true", "false"),

@@ -126,8 +126,8 @@ def test_pydcc_reads_every_number_of_the_json(
 
     lines, budget = written["budget"]["lines"], written["budget"]
     for ref, key in (
-        ("position", "position_m"),
-        ("orientation", "orientation_rad"),
+        ("position", "position_std_m"),
+        ("orientation", "orientation_std_rad"),
         ("share", "share"),
     ):
         node = found.pop(f"calib_budget/calib_{ref}")

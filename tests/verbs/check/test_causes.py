@@ -15,7 +15,7 @@ from calib.result.calibration import Calibration
 from calib.robot.ranges import random_joint_values
 from calib.verbs.check.causes import causes_of, moving_causes
 from calib.verbs.check.check import fresh_stops
-from calib.verbs.check.innovations import LEVER, Reference, stacked
+from calib.verbs.check.innovations import LEVER, StoredResult, stacked
 from tests.verbs.check.shop import JOINTS, paper_result, points
 
 
@@ -49,7 +49,7 @@ def of_two() -> Calibration:
 
 
 def test_of_one_frame_and_one_target():
-    causes = moving_causes(Reference.of(paper_result()))
+    causes = moving_causes(StoredResult.of(paper_result()))
     assert [(cause.code, cause.name) for cause in causes] == [
         ("frame", ""),
         ("target", ""),
@@ -59,9 +59,9 @@ def test_of_one_frame_and_one_target():
 
 
 def test_rows_alone_and_all_are_causes_too():
-    reference = Reference.of(paper_result())
-    stack = stacked(fresh_stops(reference, points(), Cell()))
-    causes, directions = causes_of(moving_causes(reference), stack)
+    stored = StoredResult.of(paper_result())
+    stack = stacked(fresh_stops(stored, points(), Cell()))
+    causes, directions = causes_of(moving_causes(stored), stack)
     assert [cause.code for cause in causes[-4:]] == ["row", "row", "row", "other"]
     assert [cause.rows for cause in causes[-4:-1]] == [(1,), (2,), (3,)]
     assert [one.prior for one in directions[-4:]] == [1 / 3, 1 / 3, 1 / 3, 0.1]
@@ -70,11 +70,11 @@ def test_rows_alone_and_all_are_causes_too():
 
 def test_the_base_and_the_hand_are_one_motion_of_all():
     """Displacements of both stations, and of both targets, against rows that were moved so."""
-    reference = Reference.of(of_two())
-    causes = {(cause.code, cause.name): cause for cause in moving_causes(reference)}
+    stored = StoredResult.of(of_two())
+    causes = {(cause.code, cause.name): cause for cause in moving_causes(stored)}
     assert {("frame", "left"), ("frame", "right"), ("target", "a"), ("target", "b")} < set(causes)
     q = random_joint_values(paper_result().robot, 8, 9)
-    before = fresh_stops(reference, table_of_two(q), Cell())
+    before = fresh_stops(stored, table_of_two(q), Cell())
     D = np.concatenate([stop.by_displacements for stop in before])
     y = np.concatenate([stop.y for stop in before])
     step = 1e-5
@@ -83,7 +83,7 @@ def test_the_base_and_the_hand_are_one_motion_of_all():
         twist = np.eye(6)[k] * (1.0 if k < 3 else 1.0 / LEVER)
         moved = pin.exp6(step * twist).homogeneous
         shifted = places @ moved[:3, :3].T + moved[:3, 3]
-        after = fresh_stops(reference, table_of_two(q, targets=shifted), Cell())
+        after = fresh_stops(stored, table_of_two(q, targets=shifted), Cell())
         change = (np.concatenate([stop.y for stop in after]) - y) / step
         predicted = D @ causes["hand", ""].mixing[:, k]
         np.testing.assert_allclose(predicted, change, atol=0.02 * np.abs(D).max())
