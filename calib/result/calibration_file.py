@@ -560,9 +560,14 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    followed = {"uncertainty": uncertainty_table(c), "forecast": _forecast_table(c)}
-    table = result_table(c) | followed | dict(extra or {})
+    table = whole_table(c) | dict(extra or {})
     return write_table(table | {_CHECKSUMS: _checksums(table)}, path, overwrite=overwrite)
+
+
+def whole_table(c: Calibration) -> dict[str, Any]:
+    """Return a result with what follows from it, budget and forecast, as its file has them but for the checksums."""
+    followed = {"uncertainty": uncertainty_table(c), "forecast": _forecast_table(c)}
+    return result_table(c) | followed
 
 
 def _checksums(table: Json, digest_of: Callable[[Any], str] = digest) -> dict[str, str]:

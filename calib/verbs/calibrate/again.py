@@ -30,7 +30,7 @@ from calib.result.calibration_file import (
     SCHEMA,
     call_table,
     read_result,
-    result_table,
+    whole_table,
 )
 from calib.result.call import Call, file_hashes, plugin_hashes, split_name
 from calib.result.fitted_model import ParameterEstimate
@@ -236,7 +236,7 @@ class Record:
         Returns:
             Both results and what differs.
         """
-        now = json.loads(json_bytes(result_table(result) | dict(tables)))
+        now = json.loads(json_bytes(whole_table(result) | dict(tables)))
         before = self.table.get("versions", {})
         changes = [
             *_changed_inputs(self.result, result),
