@@ -469,7 +469,7 @@ def test_a_file_may_be_written_anew_with_all_digits(
     elif style == "windows":
         text = "\ufeff" + text.replace("\n", "\r\n")
     elif style == "javascript":
-        text = re.sub(r"(?<=\d)\.0(?=[,\n ])", "", text)
+        text = re.sub(r"(?<=\d)\.0(?=[,\n])", "", text)
         assert len(text) < len(json.dumps(everything_json, indent=4))
     elif style == "own key":
         text = json.dumps({**everything_json, "remark": "before the new gripper"})
