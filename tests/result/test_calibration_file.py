@@ -261,6 +261,8 @@ WHOLE = {
     "robustness", "outside", "verdict.reasons",
     "verdict.reasons[].values", "plugins", "frames.optics", "frames.nominal.optics", "non_geometric.frames.optics",
     "cameras", "boards", "nominal_cameras", "nominal_boards", "frames.stated_places", "non_geometric.stated_places",
+    "pose_validation", "non_geometric.pose_validation", "uncertainty.non_geometric", "forecast.urdf",
+    "forecast.non_geometric", "expected.undetermined",
 }  # fmt: skip
 
 
