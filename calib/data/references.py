@@ -109,10 +109,14 @@ def split_references(
         the table has no column ``row``, they get one.
 
     Raises:
-        MeasurementError: As of `name_columns`, or all rows are references.
+        MeasurementError: As of `name_columns`, all rows are references, or the word is written otherwise.
     """
     named, _ = name_columns(table, joint_names, columns)
     words = table.column(named["set"]) if "set" in named else []
+    for i, word in enumerate(words):
+        if word != REFERENCE and word.casefold() in (REFERENCE, f"{REFERENCE}s"):
+            what = f"'{word}' is not a set; a target that stands still is of the set '{REFERENCE}'."
+            table.fail(i, named["set"], what, named.get("row"))
     if REFERENCE not in words:
         return table, None
     numbered = table

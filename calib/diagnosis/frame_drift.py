@@ -67,6 +67,9 @@ _MOST_PLACES = 300
 #: Displacements that differ by less are the same [m].
 _SAME = 1e-9
 
+#: Readings of targets that stand still scatter by less, whatever measures them, once movements are known [m].
+_NOT_STILL = 0.01
+
 
 class Mover(Enum):
     """What a change of the readings is of."""
@@ -191,7 +194,8 @@ def find_frame_drift(
         What was found, and the displacements of the rows; None if the table has no references.
 
     Raises:
-        MeasurementError: ``links`` are given, and a reference of the table is not among them.
+        MeasurementError: ``links`` are given, and a reference of the table is not among them; or the readings of a
+            reference are of several targets.
     """
     references = measurements.references
     if references is None:
@@ -213,6 +217,8 @@ def find_frame_drift(
     for group in dict.fromkeys(references.groups):
         station = _Station.of(measurements, references, group, links)
         path = station.path(poses)
+        if path.scatter > _NOT_STILL:
+            _refuse_scatter(references, group, measurements.source)
         found += station.movements(path)
         station.displace(path, displaced)
         left = left + station.variance_left(path)
@@ -280,6 +286,17 @@ def shown_by_references(drift: FrameDrift) -> Iterator[Reason]:
         yield Reason.of(Why.REFERENCES_TOO_FEW, readings=readings)
     elif not drift.corrected:
         yield Reason.of(Why.REFERENCES_STILL, readings=readings, left_m=drift.left)
+
+
+def _refuse_scatter(references: References, group: str, source: str) -> None:
+    """Refuse readings of a station that cannot be of targets that stand still; `MeasurementError` names the worst."""
+    here = [one for one in _still_targets(references, {}) if one.group == group]
+    worst = max(here, key=lambda one: -1.0 if np.isnan(one.scatter) else one.scatter)
+    raise MeasurementError(
+        f"{source or 'Measurements'}: the {worst.readings} readings of the reference '{worst.target}' scatter by "
+        f"{1e3 * worst.scatter:.0f} mm a coordinate, as those of several targets. Give each target that stands still a "
+        "name of its own in the column 'target', also one that was put elsewhere, and correct readings that are wrong."
+    )
 
 
 def _still_targets(references: References, links: Mapping[str, str]) -> list[StillTarget]:

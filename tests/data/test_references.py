@@ -162,3 +162,10 @@ def test_values_in_memory_are_checked():
     still = References(**one, sequence=(1, 2))
     with pytest.raises(MeasurementError, match="sequence"):
         Measurements(("j",), np.zeros((1, 1)), np.zeros((1, 3)), rows=(3,), references=still)
+
+
+@pytest.mark.parametrize("word", ["Reference", "REFERENCE", "references"])
+def test_the_word_is_to_be_written_as_it_is(tmp_path, word):
+    rows = (ROWS[0].replace("reference", word), *ROWS[1:])
+    with pytest.raises(MeasurementError, match=f"line 2 .row 1., column 'set': '{word}'"):
+        Measurements.read(written(tmp_path, *rows))

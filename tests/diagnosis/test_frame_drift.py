@@ -265,3 +265,22 @@ def test_references_that_stand_still_change_nothing(scene):
     without = calibrate(scene.robot, replace(m, references=None), model="dh", validate=False)
     assert result.drift.found == ()
     np.testing.assert_array_equal(result.geometry.x, without.geometry.x)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_several_targets_of_one_name_are_refused(count: int):
+    table = with_references(random_points(), lambda *_: np.zeros(3), count=count)
+    references = table.references
+    assert references is not None
+    alike = replace(references, targets=("target",) * len(references))
+    with pytest.raises(
+        MeasurementError, match=f"{len(references)} readings of the reference 'target'"
+    ):
+        find_frame_drift(replace(table, references=alike))
+
+
+def test_an_instrument_that_was_put_elsewhere_is_a_step():
+    table = with_references(random_points(), step_of(20, np.array([0.3, -0.2, 0.1])), count=3)
+    found = find_frame_drift(table)
+    assert found is not None
+    assert [one.form for one in found[0].found] == [Form.STEP]

@@ -27,7 +27,7 @@ from calib.data.inputs import CellInput, RobotInput, TableInput, cell_of, inputs
 from calib.data.measurements import Measurements
 from calib.data.record import Record
 from calib.errors import ArgumentError, CalibError, MeasurementError, choices
-from calib.result.calibration import Calibration
+from calib.result.calibration import Calibration, is_corrected
 from calib.result.calibration_file import read_result
 from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.ranges import column_limits
@@ -288,7 +288,8 @@ def certificate(
     Raises:
         ArgumentError: An argument of another type or with another unit.
         CalibError: A tolerance, uncertainty or prior that is not positive, or an input that is refused.
-        ModelError: No measurements were given, and the calibration was read from a file.
+        ModelError: No measurements were given, and the calibration was read from a file; or the robot is neither the
+            nominal nor the corrected one of the calibration.
         MeasurementError: The rows measure neither positions, lengths nor orientations, or the calibration was fitted to
             all of them.
     """
@@ -353,6 +354,7 @@ def certificate_of(
         raise CalibError(
             "The result has no non-geometric model to be certified; leave non_geometric (--judge) out."
         )
+    is_corrected(calibration, robot)  # refuses one that is neither as found nor as left
     assessment = assess(robot, table, cell, calibration, which=which, judge=judged)
     left = assessment.evaluations[judged]
     accurate = assessment.accuracies[judged]
@@ -467,7 +469,8 @@ def _checked(
                 )
     if prior is not None and tolerance is None:
         raise ArgumentError(
-            "The argument 'prior' needs a tolerance: its risks are those of a decision."
+            "A prior (--prior-mean and --prior-std, in Python 'prior') needs a tolerance (--tolerance), as its risks are "
+            "those of a decision."
         )
     return tolerance or {}, uncertainty or {}, prior or {}
 

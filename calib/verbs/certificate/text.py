@@ -44,6 +44,8 @@ _SENTENCES: dict[Untested, str] = {
     Untested.TEMPERATURE: "Temperature: the record does not state it.",
     Untested.OTHER_TEMPERATURES: "Other temperatures than {low_C}.",
     Untested.TRACEABILITY: "Traceability: the record lacks the instrument's certificate, or what it is traceable to.",
+    Untested.EXPIRED: "The instrument on that day: its calibration was valid until {due}, and the measurement is of "
+    "{date}.",
     Untested.NOISE: "The instrument's noise: nothing states it, so that what the calibration left of {units} counts as "
     "noise, and U is too large rather than too small.",
 }

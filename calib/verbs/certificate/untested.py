@@ -11,6 +11,7 @@ import numpy as np
 
 import calib.data.kinds as registry
 from calib.basics.arrays import Array
+from calib.basics.dates import parse_date
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.record import Record
 from calib.diagnosis.reasons import Why
@@ -53,6 +54,7 @@ class Untested(Enum):
     TEMPERATURE = "temperature"
     OTHER_TEMPERATURES = "other_temperatures"
     TRACEABILITY = "traceability"
+    EXPIRED = "expired"
     NOISE = "noise"
 
 
@@ -171,3 +173,6 @@ def _of_record(record: Record) -> Iterator[Gap]:
         yield Gap(Untested.TEMPERATURE)
     if not (record.traceability and record.instrument_certificate):
         yield Gap(Untested.TRACEABILITY)
+    due, day = parse_date(record.calibration_due), parse_date(record.date)
+    if due is not None and day is not None and due < day:
+        yield Gap(Untested.EXPIRED, {"due": record.calibration_due, "date": record.date})

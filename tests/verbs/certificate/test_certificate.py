@@ -201,3 +201,12 @@ def test_means_and_deviations_of_a_prior_go_together():
     for means, stds in (({"m": 1.0}, None), (None, {"m": 1.0}), ({"m": 1.0}, {"rad": 1.0})):
         with pytest.raises(CalibError, match="--prior-std"):
             priors_of(means, stds)
+
+
+def test_another_robot_than_the_calibrations_is_refused(
+    ur3: Robot, table: Measurements, default_result: Calibration
+):
+    origins = {name: T.copy() for name, T in ur3.origins().items()}
+    origins["elbow_joint"][0, 3] += 0.01
+    with pytest.raises(ModelError, match="elbow_joint"):
+        own(Robot.from_urdf(ur3.urdf.with_origins(origins), "base", "tool0"), table, default_result)

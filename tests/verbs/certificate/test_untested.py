@@ -52,6 +52,9 @@ def test_what_the_record_does_not_state(
     assert not blank & {U.OTHER_LOADS, U.OTHER_SPEEDS, U.OTHER_TEMPERATURES}
     partly = codes(own(ur3, table, default_result, record=replace(RECORD, traceability="")))
     assert U.TRACEABILITY in partly
+    assert U.EXPIRED not in partly
+    late = own(ur3, table, default_result, record=replace(RECORD, calibration_due="2026-11-25"))
+    assert values(late, U.EXPIRED) == {"due": "2026-11-25", "date": "2026-11-26"}
     for given in ({"sigma": {"m": 2e-5}}, {"uncertainty": {"m": 5e-5}}):
         assert U.NOISE not in codes(own(ur3, table, default_result, **given))
 
