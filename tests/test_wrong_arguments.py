@@ -15,6 +15,7 @@ from calib.boards.board import Board
 from calib.errors import (
     ArgumentError,
     CalibError,
+    FileError,
     MeasurementError,
     ModelError,
     UrdfError,
@@ -259,7 +260,7 @@ ROWS = [
     ('calib.detect(["a.png"], [board], executor=2)', ArgumentError, "'executor'"),
     ('calib.detect(["a.png"], [board], progress=2)', ArgumentError, "'progress'"),
     ("calib.again(3)", ArgumentError, "'path'"),
-    ('calib.again("nope.json")', CalibError, "nope.json"),
+    ('calib.again("nope.json")', FileError, "nope.json"),
     ("calib.check(3, table)", ArgumentError, "'calibration'"),
     ("calib.check(result, 3)", ArgumentError, "'measurements'"),
     ("calib.check(result, table, 3)", ArgumentError, "'cell'"),

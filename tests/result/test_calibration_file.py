@@ -262,7 +262,7 @@ WHOLE = {
     "verdict.reasons[].values", "plugins", "frames.optics", "frames.nominal.optics", "non_geometric.frames.optics",
     "cameras", "boards", "nominal_cameras", "nominal_boards", "frames.stated_places", "non_geometric.stated_places",
     "pose_validation", "non_geometric.pose_validation", "uncertainty.non_geometric", "forecast.urdf",
-    "forecast.non_geometric", "expected.undetermined",
+    "forecast.non_geometric", "expected.undetermined", "drift",
 }  # fmt: skip
 
 
@@ -281,6 +281,9 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
                 "robot.branches",
                 "inputs.robots",
                 "chains",
+                "drift.",
+                "forecast.non_geometric.",
+                "uncertainty.non_geometric.",
                 "expected.board",
                 "non_geometric.payload",
                 "noise.sigma_given",
@@ -293,7 +296,9 @@ def test_the_document_has_every_key_of_a_file_and_no_other(everything_json: dict
         and ".optics[]" not in path
         and ".stated_places[]" not in path
     }
-    assert all("prior_std." in path for path in missing)  # no model has every family of errors
+    assert all("prior_std." in path for path in missing), (
+        missing
+    )  # no model has every family of errors
 
 
 def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: Path):

@@ -469,8 +469,8 @@ def _checked(
                 )
     if prior is not None and tolerance is None:
         raise ArgumentError(
-            "A prior (--prior-mean and --prior-std, in Python 'prior') needs a tolerance (--tolerance), as its risks are "
-            "those of a decision."
+            "A prior (--prior-mean and --prior-std, in Python 'prior') needs a tolerance (--tolerance), as its risks "
+            "are those of a decision."
         )
     return tolerance or {}, uncertainty or {}, prior or {}
 

@@ -494,7 +494,7 @@ class VirtualCell(Value):
             outliers=read_only(rows.outliers),
             moved=found_moved,
             seed=int(seed),
-            standing=standing,
+            standing=read_only(standing),
             pictures=None
             if rows.pictures is None
             else replace(rows.pictures, moves=None if moves is None else moves[tour.stop]),
