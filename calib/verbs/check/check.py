@@ -90,8 +90,8 @@ class Noticed(Value):
     #: Shift in the direction that shows least [m]; of a sliding joint its zero; infinite if it does not show, NaN if
     #: there is none
     shift: float
-    #: Turn about the axis that shows least, wherever it is [rad]; of a joint that turns its zero; infinite or NaN as the
-    #: shift
+    #: Turn about the axis that shows least, wherever it is [rad]; of a joint that turns its zero; infinite or NaN as
+    #: the shift
     turn: float
 
 
