@@ -42,7 +42,7 @@ VERBS: dict[str, set[str]] = {
     "board": set(),
     "calibrate": {"view"},
     "certificate": {"evaluate"},
-    "check": {"detect", "plan"},
+    "check": {"detect", "evaluate", "plan"},
     "compare": {"view"},
     "compensate": set(),
     "convert": set(),

@@ -23,6 +23,9 @@ from calib.uncertainty.at_poses import BY_ROWS, Distribution, PoseUncertainty, S
 #: The share of the whole that is aimed at.
 _HALF = 0.5
 
+#: The number of times as many rows is found to this share.
+_TOLERANCE = 1e-3
+
 #: The most times as many rows that are worth a word.
 _MOST_ROWS = 100.0
 
@@ -171,7 +174,9 @@ def _rows_factor(uncertainty: PoseUncertainty) -> float:
     most = float(np.log(_MOST_ROWS))
     if whole <= 0.0 or excess(most) > 0.0:
         return np.inf
-    # Not above: SciPy's optimisers take longer to import than a budget takes.
-    from scipy.optimize import brentq
-
-    return float(np.exp(brentq(excess, 0.0, most, xtol=1e-3)))
+    # By bisection: SciPy's optimisers take longer to import than a budget takes.
+    low, high = 0.0, most
+    while high - low > _TOLERANCE:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) > 0.0 else (low, middle)
+    return float(np.exp(0.5 * (low + high)))

@@ -31,6 +31,7 @@ fresh rows are of another distribution than those of fitted ones, which a fit of
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -275,8 +276,10 @@ def forecast(
         ArgumentError: ``rows`` is below 1, or ``joints`` are not made of numbers.
         ModelError: There is no such target or station, or ``joints`` have another shape.
     """
-    if rows is not None and not rows >= 1.0:
-        raise ArgumentError(f"The argument 'rows' is {rows!r}; it must be 1 or more.")
+    if rows is not None and not (isinstance(rows, numbers.Real) and rows >= 1.0):
+        raise ArgumentError(f"The argument 'rows' is {rows!r}; it must be a number, 1 or more.")
+    if joints is not None and np.size(joints) == 0:
+        raise ArgumentError("The argument 'joints' has no joint values; give one row or more.")
     validation = held_out_at_poses(result, non_geometric=non_geometric)
     if validation is None or not len(validation.residual):
         return None

@@ -260,7 +260,7 @@ EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.
 
 
 def test_the_documents_examples(tmp_path: Path):
-    first, by_name, single, loads, coupled, sockets, *_, record, _ = (
+    first, by_name, single, still, loads, coupled, sockets, *_, stated, record, _ = (
         read(tmp_path, example) for example in EXAMPLES
     )
     assert (first.base, first.tip, first.model, first.frozen) == ("base", "tool0", "dh", ("d2",))
@@ -271,6 +271,8 @@ def test_the_documents_examples(tmp_path: Path):
     assert single.bounds["theta6"] == pytest.approx((np.radians(-0.02), 1e-3))
     assert single.parameter_priors["shoulder_lift_joint.compliance"] == 1e-5
     assert single.frame_directions == ("x", "y", "z", "rz")
+    assert dict(still.references) == {"floor 1": "world", "floor 2": "world", "foot": "base"}
+    assert stated.uncertainty.instrument_limit == pytest.approx(15e-6)
     assert loads.payload is not None
     assert loads.payload.mass == 5.0
     assert loads.gravity[2] == 9.81
@@ -288,7 +290,7 @@ def test_the_documents_examples(tmp_path: Path):
 
 
 def test_the_documents_cameras_and_boards(tmp_path: Path):
-    single, several = (read(tmp_path, example) for example in EXAMPLES[6:8])
+    single, several = (read(tmp_path, example) for example in EXAMPLES[7:9])
     camera, board = single.cameras[""], single.boards[""]
     assert (single.base, single.tip) == ("tool0", "base")
     assert (camera.name, camera.width, camera.height, camera.lens) == (

@@ -84,7 +84,7 @@ def test_the_examples_of_other_kinds(table):
 
 
 def test_the_example_of_a_list_of_points(table, tmp_path):
-    listed, joints = examples()[4:]
+    listed, joints = examples()[5:]
     (tmp_path / "tracker.txt").write_text(listed)
     m = Measurements.read(table(joints), UR3_JOINTS[:3], points=tmp_path / "tracker.txt")
     paper = Measurements.read(UR3)

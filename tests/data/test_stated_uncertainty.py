@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -35,7 +37,7 @@ def read(tmp_path, text):
 
 def test_all_keys_are_read_in_si_units(tmp_path):
     stated = read(tmp_path, TABLE)
-    assert stated == StatedUncertainty(
+    expected = StatedUncertainty(
         instrument_limit=15.0 / 1e6,
         instrument_limit_per_length=6e-6,
         instrument_limit_angle=np.radians(0.01),
@@ -51,6 +53,11 @@ def test_all_keys_are_read_in_si_units(tmp_path):
         arm_expansion=1.2e-5,
         instrument_expansion=9.5e-6,
     )
+    assert stated.temperature == expected.temperature
+    for field in fields(stated):
+        if field.name != "temperature":
+            value = getattr(expected, field.name)
+            assert getattr(stated, field.name) == pytest.approx(value, rel=1e-12), field.name
 
 
 def test_a_limit_of_error_is_even(tmp_path):

@@ -177,6 +177,10 @@ def test_forecast_of_a_calibration(calibrated, tmp_path):
     assert forecast(without, non_geometric=False) is None
     with pytest.raises(ArgumentError):
         c.forecast(rows=0)
+    with pytest.raises(ArgumentError):
+        c.forecast(rows="20")
+    with pytest.raises(ArgumentError):
+        c.forecast(joints=np.zeros((0, 6)))
 
 
 def test_where_nothing_was_measured_the_forecast_is_larger(calibrated):

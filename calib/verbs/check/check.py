@@ -6,6 +6,7 @@ The evidence and the test are those of `calib.verbs.check.evidence`, the numbers
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -32,9 +33,11 @@ from calib.result.calibration import Calibration
 from calib.result.calibration_file import ResultInput, result_of
 from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.ranges import spread_between, spread_poses
+from calib.show.lines import listed, row_ranges
 from calib.verbs.check.causes import MOVING, Cause, Code, causes_of, moving_causes
 from calib.verbs.check.evidence import Directions, EvidenceTest, estimate, log_weights
 from calib.verbs.check.innovations import LEVER, Stack, Stop, StoredResult, numbered_as, stacked
+from calib.verbs.evaluate.accuracy import fitted_rows
 
 #: ``"nothing"``: no evidence that anything has moved; ``"moved"``: one cause has at least `SURE`; ``"undecided"``:
 #: something has moved, and several causes explain it; ``"row"``: a single stop is off; ``"other"``: none of the causes.
@@ -204,7 +207,8 @@ def check(
 
     Raises:
         ArgumentError: An argument of another type.
-        MeasurementError: The table has no row that measures anything.
+        MeasurementError: The table has no row that measures anything, or a row that the result was fitted to, or it
+            measures orientations, of which the result knows nothing.
         ModelError: It has a frame or a target that the result lacks.
     """
     result = result_of(calibration)
@@ -238,10 +242,31 @@ def fresh_stops(stored: StoredResult, measurements: TableInput, cell: Cell) -> t
         table = from_one_end
         rows, setup = rows_and_setup(arm, table, replace(known, model="auto"))
         rows = _in_result(stored, rows, setup.groups, setup.targets, table.source)
+    source = table.source or "Measurements"
     if not rows.count:
-        raise MeasurementError(f"{table.source or 'Measurements'}: no row measures anything.")
+        raise MeasurementError(f"{source}: no row measures anything.")
+    fitted = fitted_rows(result, result.nominal, table, known)
+    if fitted.any():
+        numbers = row_ranges(np.array(table.rows)[fitted].tolist())
+        raise MeasurementError(
+            f"{source}: the calibration was fitted to rows of this table, {numbers}, which cannot show that something "
+            "has moved since. Give only rows that were measured afterwards."
+        )
+    known_units = result.rows.channels.select(result.rows.estimation).present
+    if set(rows.channels.present) - set(known_units):
+        raise MeasurementError(
+            f"{source}: its rows measure {_measured(rows.channels.present)}; the calibration was fitted to "
+            f"{_measured(known_units)} and cannot predict more. Check with rows that measure these alone, or leave "
+            'columns out: --columns "rx=-".'
+        )
     stated = {unit for unit, values in table.stated_sigma.items() if np.isfinite(values).all()}
     return stored.stops(rows, stated | set(cell.sigma), table.rows, table.images)
+
+
+def _measured(units: Iterable[str]) -> str:
+    """Say what is measured in these units, by their symbols."""
+    words = {"m": "positions or lengths", "rad": "orientations", "px": "images"}
+    return listed([words.get(unit, unit) for unit in units])
 
 
 def read_fresh(

@@ -139,7 +139,10 @@ def check(
         written.append(output)
     if not quiet:
         say(check_text(checked, more))
-        if lines := written_lines(*written):
+        lines = written_lines(*written)
+        if output is not None and more is None:
+            lines.append(f"Not written: {output}, as no further poses are needed.")
+        if lines:
             typer.echo("\n".join(["", *lines]))
     if checked.outcome != "nothing":
         raise typer.Exit(ExitStatus.NOT_ACCEPTED)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from calib.basics.arguments import check_path, check_whole
+from calib.basics.arguments import check_path, check_type, check_whole
 from calib.basics.arrays import Array, Mask, read_only
 from calib.basics.files import csv_bytes, write_atomically
 from calib.basics.jobs import one_blas_thread
@@ -198,10 +198,11 @@ def check_poses(
         The poses, seen from the first frame at the first target.
 
     Raises:
-        ArgumentError: An argument of another type, or no pose.
+        ArgumentError: An argument of another type.
         ModelError: A robot of several chains, or measurements whose poses cannot be chosen, such as a ball in a socket.
     """
     check_whole("count", count, 1)
+    check_whole("seed", seed, 0)
     result = result_of(calibration)
     stored = StoredResult.of(result)
     candidates = candidates_of(stored, cell_of(cell), seed)
@@ -251,6 +252,8 @@ def further_poses(
     Raises:
         ModelError: As of `check_poses`; or the check has decided.
     """
+    check_type("check", check, CheckResult, "the result of calib.check")
+    check_whole("seed", seed, 0)
     if check.outcome != "undecided":
         raise ModelError(f"The check has decided ('{check.outcome}'): no further poses are needed.")
     stored = check.stored

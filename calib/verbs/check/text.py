@@ -92,7 +92,8 @@ def _meaning(c: CheckResult) -> Iterator[str]:
     if not c.named or c.outcome in ("row", "other"):
         if c.outcome == "other":
             yield (
-                "Look for a usual mistake (units, a column, the tool) with calib evaluate --calibration, for another "
+                "Look for a usual mistake (units, a column, the tool, the result of another robot) with calib evaluate "
+                "--calibration, for another "
                 "payload or temperature, and for several causes at once."
             )
         return

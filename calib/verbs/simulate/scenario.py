@@ -327,7 +327,7 @@ class Simulated(Value):
     #: The pictures whose corners are the rows; None: another instrument
     pictures: Pictures | None = None
     #: Shape (J, 3), true positions of the targets that stand still in the measurement frame [m]
-    standing: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    standing: Array = field(default_factory=lambda: read_only(np.zeros((0, 3))))
 
     def __repr__(self) -> str:
         """Return one line: the measurements and the seed."""

@@ -274,6 +274,15 @@ def test_a_file_without_a_record_says_so(made: Path):
         again(made / "result.json")
 
 
+@pytest.mark.slow
+def test_budget_and_forecast_are_made_again(made: Path, call: Call):
+    call(made, "calibrate", *WORDS, "--json", "whole.json")
+    table = load(made / "whole.json")
+    assert table["forecast"] is not None
+    assert table["uncertainty"] is not None
+    assert call(made, "calibrate", "--again", "whole.json").code == 0
+
+
 def test_what_was_given_in_memory_has_to_be_given_again(made: Path, call: Call):
     robot = calib.Robot.load(made / "robot.urdf", base="base", tip="tool0")
     table = calib.Measurements.read(made / "data.csv", robot.joint_names)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.errors import CalibError, ModelError
+from calib.data.measurements import Measurements
+from calib.errors import CalibError, MeasurementError, ModelError
+from calib.example import paper_measurements
 from calib.verbs.check.check import CheckResult, Finding, check
 from tests.verbs.check.shop import JOINTS, POSES, paper_result, points
 
@@ -120,3 +124,18 @@ def test_names_together_have_their_probability():
     if c.outcome == "undecided":
         assert sum(finding.probability for finding in c.named) >= 0.99
         assert sum(finding.probability for finding in c.named[:-1]) < 0.99
+
+
+def test_rows_that_the_result_was_fitted_to_are_refused():
+    table = Measurements.read(paper_measurements(), JOINTS)
+    with pytest.raises(MeasurementError, match="1 to 30"):
+        check(paper_result(), table)
+    fresh = table.select(table.validation)
+    assert check(paper_result(), fresh).stops == 5
+
+
+def test_orientations_of_which_the_result_knows_nothing_are_refused():
+    table = points()
+    turned = replace(table, kinds=("pose",) * 3, rotations=np.tile(np.eye(3), (3, 1, 1)))
+    with pytest.raises(MeasurementError, match="orientations"):
+        check(paper_result(), turned)

@@ -29,10 +29,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_nothing_has_moved(call, folder: Path, tmp_path: Path):
-    written = tmp_path / "check.json"
-    done = call(folder, "check", "result.json", "this_morning.csv", "--json", written)
+    written, more = tmp_path / "check.json", tmp_path / "more.csv"
+    done = call(folder, "check", "result.json", "this_morning.csv", "--json", written, "-o", more)
     assert (done.code, done.err) == (0, "")
     assert "Nothing has moved." in done.lines
+    assert done.lines[-1].startswith(f"Not written: {more}")
+    assert not more.exists()
     table = json.loads(written.read_text(encoding="utf-8"))
     assert (table["outcome"], table["named"], table["stops"]) == ("nothing", [], 3)
 
