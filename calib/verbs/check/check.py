@@ -63,8 +63,8 @@ class Finding(Value):
     name: str
     #: Probability, if something is off at all
     probability: float
-    #: Change of a joint's zero [rad] or [m]; of others the distance by which the target is displaced at the fresh
-    #: poses, rms [m]
+    #: Change of a joint's zero [rad] or [m]; of rows and others the distance by which the target is displaced at each,
+    #: rms [m]; of the rest that over the fitted joint values, as ``change``
     size: float
     #: Its standard deviation
     size_std: float
@@ -93,7 +93,8 @@ class Noticed(Value):
     #: Shift in the direction that shows least [m]; of a sliding joint its zero; infinite if it does not show, NaN if
     #: there is none
     shift: float
-    #: Turn about the axis that shows least, wherever it is [rad]; of a joint its zero; infinite, NaN
+    #: Turn about the axis that shows least, wherever it is [rad]; of a joint that turns its zero; infinite or NaN as
+    #: the shift
     turn: float
 
 
@@ -406,33 +407,44 @@ def _finding(
         )
         std = float(np.sqrt(spread / len(shift)))
         return Finding(
-            cause.code,
-            "",
-            probability,
-            size,
-            std,
-            "m",
-            np.nan,
-            np.nan,
-            np.nan,
-            cause.rows,
-            cause.image,
+            code=cause.code,
+            name="",
+            probability=probability,
+            size=size,
+            size_std=std,
+            unit="m",
+            turn=np.nan,
+            change=np.nan,
+            change_std=np.nan,
+            rows=cause.rows,
+            image=cause.image,
         )
     change, change_std = _effect(stored, cause, mean, covariance)
     if cause.code == "joint":
-        unit = cause.units[0]
-        size, std = (
-            float(mean[0] * cause.scale[0]),
-            float(np.sqrt(covariance[0, 0]) * cause.scale[0]),
-        )
         return Finding(
-            cause.code, cause.name, probability, size, std, unit, np.nan, change, change_std
+            code=cause.code,
+            name=cause.name,
+            probability=probability,
+            size=float(mean[0] * cause.scale[0]),
+            size_std=float(np.sqrt(covariance[0, 0]) * cause.scale[0]),
+            unit=cause.units[0],
+            turn=np.nan,
+            change=change,
+            change_std=change_std,
         )
     turns = np.array([unit == "rad" for unit in cause.units])
     visible = np.linalg.norm(directions.V[:, turns], axis=0) > 1e-6 if turns.any() else np.zeros(0)
     turn = float(np.linalg.norm(mean[turns]) / LEVER) if np.any(visible) else np.nan
     return Finding(
-        cause.code, cause.name, probability, change, change_std, "m", turn, change, change_std
+        code=cause.code,
+        name=cause.name,
+        probability=probability,
+        size=change,
+        size_std=change_std,
+        unit="m",
+        turn=turn,
+        change=change,
+        change_std=change_std,
     )
 
 
