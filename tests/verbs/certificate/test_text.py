@@ -30,6 +30,8 @@ VALUES = {
     "stated": "3 kg",
     "low_C": 21.4,
     "high_C": 22.1,
+    "due": "2026-05-31",
+    "date": "2026-11-26",
     "units": ("m", "rad"),
 }
 
