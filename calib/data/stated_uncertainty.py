@@ -1,4 +1,4 @@
-"""What a cell states of uncertainty, `[uncertainty]` of a cell file: limits and standard deviations by certificate.
+"""What a cell states of uncertainty, ``[uncertainty]`` of a cell file: limits and standard deviations by certificate.
 
 Whatever is stated here is a line of the uncertainty budget (`calib.uncertainty`). Nothing of it changes a fit.
 """
