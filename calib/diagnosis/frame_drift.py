@@ -608,10 +608,10 @@ class _Station:
         readings = self.readings().beyond(path.changes)
         for mover in self.frame_movers:
             if mover not in drifting:  # a drift that would not be found
-                Z = readings.columns(Change(Form.DRIFT, 0, mover))
-                Z = Z - readings.base @ (readings.base.T @ Z)
-                H = Z.T @ Z
-                tells = np.linalg.matrix_rank(H, hermitian=True) == 3
-                trace = np.trace(np.linalg.inv(H)) if tells else np.nan
+                columns = readings.columns(Change(Form.DRIFT, 0, mover))
+                Z = columns - readings.base @ (readings.base.T @ columns)
+                # What the base explains leaves rounding, whose rank says nothing.
+                tells = np.linalg.norm(Z, ord=-2) > _IN_RANGE * np.linalg.norm(columns)
+                trace = np.trace(np.linalg.inv(Z.T @ Z)) if tells else np.nan
                 variance[rows] += (places / max(self.span, 1)) ** 2 * path.scatter**2 * trace / 3.0
         return variance

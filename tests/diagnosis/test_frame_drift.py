@@ -284,3 +284,11 @@ def test_an_instrument_that_was_put_elsewhere_is_a_step():
     found = find_frame_drift(table)
     assert found is not None
     assert [one.form for one in found[0].found] == [Form.STEP]
+
+
+def test_an_only_reference_that_drifts_says_nothing_of_the_frame(scene):
+    drifts = lambda t, _, name: 3.0 * BY * t / 44.0 * (name != "ball")  # noqa: E731
+    _, result = calibrated(scene, drifts, count=1)
+    (moved,) = result.drift.found
+    assert (moved.form, moved.mover, moved.corrected) == (Form.DRIFT, Mover.REFERENCE, False)
+    assert np.isnan(result.drift.left)

@@ -18,9 +18,11 @@ from calib.numerics.geometry import pose_of
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.result.chains import ChainResult, verdict_with_chains
+from calib.result.collected_evidence import _expected_over_limits
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
+from tests.two_handed import CELL, two_handed
 
 TIPS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
 
@@ -151,6 +153,19 @@ def test_two_robots_without_noise_are_recovered_through_their_own_urdfs(tmp_path
         points = true_T[:, :3, :3] @ OFFSETS[name] + true_T[:, :3, 3]
         expected = points @ frame[:3, :3].T + frame[:3, 3]
         assert np.allclose(found[:, :3, 3], expected, rtol=0.0, atol=1e-8)
+
+
+def test_each_hand_is_judged_by_its_rows_and_its_own_target():
+    table = two_handed(1, stops=60).measurements
+    result = calibrate("panda", table, cell=CELL, model="zeros", robust=False)
+    for hand, chain in zip("ab", result.trust.chains, strict=True):
+        of_hand = np.array(table.targets) == hand
+        assert chain.rows == of_hand.sum()
+        target = result.setup.targets.index(hand)
+        expected = _expected_over_limits(result, result.geometry, 0, target)
+        assert (chain.expected, chain.expected_of_nominal) == expected[:2]
+    first, second = result.trust.chains
+    assert first.expected_of_nominal != second.expected_of_nominal
 
 
 NOTHING = Errors({})

@@ -71,6 +71,23 @@ def test_a_tracker_has_its_noise_at_the_distance_of_the_rows(visited):
     assert np.isnan(instrument_variance(with_cell(visited), "m", {}))
 
 
+def test_a_tracker_stands_where_it_is_on_the_base(ur3):
+    frame = np.eye(4)
+    frame[:3, :3] = np.diag([-1.0, -1.0, 1.0])
+    frame[:3, 3] = (2.0, -0.5, 0.3)
+    q = random_joint_values(ur3, 12, 5)
+    points = ur3.poses(q)[:, :3, 3]
+    at = np.array([0.4, 1.5, 0.5])
+    cell = Cell(
+        frames={"": frame}, tracker=Tracker(at, noise=TrackerNoise(0.0, 6e-6)), model="zeros"
+    )
+    table = Measurements(ur3.joint_names, q, points @ frame[:3, :3].T + frame[:3, 3])
+    result = calibrate(ur3, table, cell=cell, validate=False)
+    distance = np.sqrt(np.mean(np.sum((points - at) ** 2, 1)))
+    found = instrument_variance(result.fit.geometry, "m", {})
+    assert found == pytest.approx((6e-6 * distance) ** 2, rel=1e-3)
+
+
 def test_joints_displace_poses_as_differences_of_predictions_do(visited):
     q = random_joint_values(visited.nominal, 5, 1)
     model, step = visited.geometry, 1e-4

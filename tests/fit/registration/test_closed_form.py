@@ -41,6 +41,19 @@ def test_a_target_and_a_translation_are_the_least_squares_solution(make_scene):
     np.testing.assert_allclose(found.T_tip_target[0, :3, 3], target, atol=1e-10)
 
 
+def test_frames_shift_along_their_estimated_axes_alone(make_scene, join):
+    scene = make_scene(3, frames=2)
+    table = join(scene.points(12), scene.points(12, 1))
+    T_base_tip, setup, rows = measured(scene, table, Cell(estimate_frame=True))
+    T_frame_base = scene.kinematics.T_frame_base.copy()
+    T_frame_base[0, 1, 3] += 0.3
+    T_frame_base[1, 2, 3] -= 0.2
+    start = replace(setup, T_frame_base=T_frame_base, unknown=(("y",), ("z",)))
+    found = linear_setup(start, T_base_tip, rows)
+    assert found is not None
+    np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-10)
+
+
 def test_a_known_target_stays_and_so_does_one_that_no_row_sees(make_scene, join):
     scene = make_scene(4, targets=2)
     cell = Cell(estimate_frame=True, frame_directions=("x", "y", "z"))

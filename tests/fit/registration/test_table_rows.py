@@ -9,12 +9,16 @@ import pytest
 
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.data.cell import Cell
+from calib.data.cell_chains import robot_of_cell
 from calib.data.measurements import Measurements
+from calib.errors import MeasurementError
 from calib.fit.registration.rows import NONE
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
 from tests.fit.registration.tables import as_kind
+from tests.two_handed import CELL, NAMES, two_handed
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -204,3 +208,15 @@ def test_loads_are_those_of_gravity_and_payload_and_measured_ones_where_there_ar
     # The drive holds against the load.
     np.testing.assert_array_equal(rows.samples.load[:, 1, 0], [-10.0, 20.0, 0.0, -5.0])
     np.testing.assert_array_equal(rows.samples.load[:, 2:], by_gravity[:, 2:])
+
+
+def test_a_row_needs_the_joints_of_its_own_chain():
+    table = two_handed(1, stops=3).measurements
+    robot = robot_of_cell(read_urdf("panda"), CELL)
+    rows, _ = rows_and_setup(robot, table, CELL)
+    assert rows.samples.chain is not None
+    np.testing.assert_array_equal(rows.samples.chain, [0, 1] * 3)
+    without = table.without_joint.copy()
+    without[3, NAMES.index("right/panda_joint2")] = True
+    with pytest.raises(MeasurementError, match="right/panda_joint2"):
+        rows_and_setup(robot, replace(table, without_joint=without), CELL)
