@@ -165,7 +165,8 @@ def test_steps_that_a_large_residual_makes_too_short_become_longer():
         return residual, np.array([[1.0, 0.0], [-0.2 * x, 1.0], [-0.1 * x, 0.0]])
 
     found = levenberg_marquardt(system, np.array([1.0, 2.0]), np.ones(2), 1e-9)
-    np.testing.assert_allclose(found.x, 0.0, atol=1e-7)
+    # The rounding of the cost, 45 eps, decides on 1e-4 of the gain of the last long step of 3e-4.
+    np.testing.assert_allclose(found.x, 0.0, atol=2e-6)
     assert found.status == "converged"
     assert found.evaluations < 25  # each plain step leaves 95 % of x: some 330
     assert any(step.accepted and step.gain > 1.9 for step in found.history)
