@@ -222,8 +222,8 @@ SENTENCES = {
     "coordinate may be left.",
     Why.REFERENCES_STILL: "The references ({readings} readings) show no drift and no step; a drift of {left_m:mm.3f} "
     "mm per coordinate may be left.",
-    Why.REFERENCES_TOO_FEW: "The references ({readings} readings) show nothing, because none was measured often "
-    "enough: measure each before, between and after the poses.",
+    Why.REFERENCES_TOO_FEW: "The references ({readings} readings) show nothing of the frame, because none that "
+    "stood still was measured often enough: measure each before, between and after the poses.",
     Why.REFERENCE_MOVED: "The reference '{reference}' does not stand still: by itself it moved by {moved_m:mm.3f} mm"
     "{from_row} ({chance_p}). The measured poses were left as they are. Is it loose?",
     Why.REFERENCE_MISREAD: "The reading of the reference '{reference}' in row {row} is {moved_m:mm.3f} mm off the "

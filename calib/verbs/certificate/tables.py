@@ -58,7 +58,7 @@ def point_tables(c: Certificate) -> Iterator[Table]:
             *(Column(f"{axis} [mm]", 8, unit="mm", digits=1) for axis in "xyz"),
             *(Column(head, 9) for head in ("as found", "as left", "U")),
             Column("k", 5),
-            Column("freedom", 7),
+            Column("d.o.f.", 7),
             Column("U pose", 8),
             Column("P(within)", 9, optional=True),
         )
@@ -69,7 +69,7 @@ def point_tables(c: Certificate) -> Iterator[Table]:
             note=(
                 "x, y, z: place in the base. U: expanded uncertainty of both deviations, "
                 "95.45 % (k = 2 along one direction); k = U over the combined standard uncertainty of the three axes; "
-                "freedom: effective degrees of freedom, a dash: infinite. U pose: expanded uncertainty of the pose "
+                "d.o.f.: effective degrees of freedom, a dash: infinite. U pose: expanded uncertainty of the pose "
                 "that the calibrated robot reaches there. P(within): probability that the deviation as left is within "
                 "the tolerance."
             ),

@@ -190,7 +190,7 @@ def check_poses(
 
     Args:
         calibration: The result, or the path of its file.
-        count: Number of poses, 1 or more.
+        count: Number of poses, 1 to 200.
         cell: Boxes, joint ranges, tracker; None: nothing is known of them.
         seed: Of the poses that are drawn.
 
@@ -199,9 +199,15 @@ def check_poses(
 
     Raises:
         ArgumentError: An argument of another type.
-        ModelError: A robot of several chains, or measurements whose poses cannot be chosen, such as a ball in a socket.
+        ModelError: More poses than candidates; a robot of several chains; or measurements whose poses cannot be chosen,
+            such as a ball in a socket.
     """
     check_whole("count", count, 1)
+    if count > _CANDIDATES:
+        raise ModelError(
+            f"{count} poses are to be chosen of {_CANDIDATES} candidates; ask for fewer. Three to five poses tell what "
+            "has moved; calib plan chooses those of a calibration."
+        )
     check_whole("seed", seed, 0)
     result = result_of(calibration)
     stored = StoredResult.of(result)

@@ -75,5 +75,7 @@ def test_a_check_that_has_decided_needs_no_more():
 def test_wrong_numbers_are_refused():
     with pytest.raises(CalibError):
         check_poses(paper_result(), 0)
+    with pytest.raises(ModelError):
+        check_poses(paper_result(), 201)
     with pytest.raises(ArgumentError):
         check_poses(3.0)  # type: ignore[arg-type]
