@@ -314,10 +314,13 @@ def survey(mutants: list[Mutant], workers: int, file: Path) -> None:
     sound: set[str] = set()
 
     def work(root: Path) -> None:
-        for mutant in remaining:
-            line = json.dumps(asdict(judged(root, mutant, sound))) + "\n"
-            with file.open("a", encoding="utf-8") as lines:
-                lines.write(line)
+        try:
+            for mutant in remaining:
+                line = json.dumps(asdict(judged(root, mutant, sound))) + "\n"
+                with file.open("a", encoding="utf-8") as lines:
+                    lines.write(line)
+        finally:
+            list(remaining)  # what ends one worker ends all
 
     with tempfile.TemporaryDirectory() as parent, ThreadPoolExecutor(workers) as pool:
         roots = [Path(parent, str(k)) for k in range(workers)]
