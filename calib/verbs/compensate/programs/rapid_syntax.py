@@ -433,7 +433,7 @@ class _Parser:
         name = self._word()
         self._at += 1
         components: list[tuple[str, str]] = []
-        while self._has_more() and self._word() not in ("endrecord", "endmodule"):
+        while self._has_more() and self._word() not in ("endrecord", *_NEVER_INSIDE):
             part = self._up_to(";")
             if len(part) >= 2:
                 components.append((part[1].word, part[0].word))

@@ -141,3 +141,10 @@ def test_declarations() -> None:
     ]
     assert set(routine.data) == {"own"}
     assert first.routines["g"].kind == "func"
+
+
+def test_a_record_without_an_end_ends_where_a_routine_begins() -> None:
+    text = "MODULE A\nRECORD r\nnum x;\nPROC main()\nEXIT;\nENDPROC\nENDMODULE"
+    (module,) = read_modules(text, 0)
+    assert module.records == {"r": (("x", "num"),)}
+    assert list(module.routines) == ["main"]
