@@ -15,7 +15,7 @@ def with_part(c: Calibration, part: str, **changes: Any) -> Calibration:
 
 
 def of_an_earlier_version(table: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a result's table as version 0.1.0 wrote it, without the run's id and checksums."""
+    """A copy of a result's table as version 0.1.0 wrote it, without the run's id, checksums and hashes of outputs."""
     copied: dict[str, Any] = json.loads(json.dumps(table))
-    del copied["run"], copied["checksums"]
+    del copied["run"], copied["checksums"], copied["outputs"]
     return copied

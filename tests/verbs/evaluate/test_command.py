@@ -106,7 +106,7 @@ def test_the_exit_code_says_whether_a_tolerance_is_kept(
 
 @pytest.mark.parametrize(("tolerance", "outcome"), [("0.5 mm", "pass"), ("0.3 mm", "fail")])
 def test_the_report_has_the_printed_figures_and_the_cells_record(
-    call, folder: Path, tmp_path: Path, tolerance: str, outcome: str
+    call, folder: Path, tmp_path: Path, monkeypatch, tolerance: str, outcome: str
 ):
     (tmp_path / "cell.toml").write_text("[record]\nrobot_serial = 4711\n", encoding="utf-8")
     report, table = tmp_path / "test.html", tmp_path / "e.json"
@@ -123,6 +123,7 @@ def test_the_report_has_the_printed_figures_and_the_cells_record(
     assert len(figures) > 40
     assert figures - printed == set()
     assert load(table)["record"]["robot_serial"] == "4711"
+    monkeypatch.setattr("calib.show.report_file.find_browser", lambda: None)
     refused = call(folder, *EVALUATE, "--report", tmp_path / "test.pdf")
     assert (refused.code, "let the name end in .html" in refused.err) == (1, True)
 

@@ -66,17 +66,14 @@ def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
 
     table = json.loads((arms_shop / "r" / "fleet.json").read_text())
     keys = {"schema", "notes", *keys_of("robots", table), *keys_of("outliers", table)}
-    keys |= {f"robots[].{key}" for key in keys_of("parameters", table["robots"][0])}
-    said = set(
-        re.findall(
-            r"^\| `([a-z_\[\].]+)` \| [a-z]+(?:, null| of texts| by unit)? \|",
-            DOC.read_text(),
-            re.MULTILINE,
-        )
-    )
+    for name in ("parameters", "zeros"):
+        keys.remove(f"robots[].{name}")
+        keys |= {f"robots[].{key}" for key in keys_of(name, table["robots"][0])}
+    row = r"^\| `([a-z_\d\[\].{},]+)` \| (?:text|integer|number|list|as)[a-z, ]* \|"
+    said = re.findall(row, DOC.read_text(), re.MULTILINE)
     # There may be no outliers here.
-    assert {k for k in keys if not k.startswith("outliers")} - {"robots[].parameters"} == {
-        k for k in said if not k.startswith("outliers")
+    assert {k for k in keys if not k.startswith("outliers")} == {
+        k for k in each_of(said) if not k.startswith("outliers")
     }
     rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
     assert [row["name"] for row in rows] == [f"SN-{k}" for k in range(6)]
@@ -86,6 +83,16 @@ def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
             1e3 * one["nominal_rms"]["m"], rel=1e-5
         )
         assert float(row["sigma [mm]"]) == pytest.approx(1e3 * one["sigma"]["m"], rel=1e-5)
+
+
+def each_of(keys: list[str]) -> set[str]:
+    """Keys as a document has them, where {a,b} stands for two."""
+    result = set()
+    for key in keys:
+        before, opening, rest = key.partition("{")
+        names, _, after = rest.partition("}")
+        result |= {before + name + after for name in names.split(",")} if opening else {key}
+    return result
 
 
 def keys_of(name: str, table: dict[str, list[dict[str, object]]]) -> set[str]:
