@@ -14,6 +14,7 @@ from calib.basics.arrays import rigid_inverse
 from calib.basics.progress import Stage, watching
 from calib.data.cell import Cell, GroupDistance, Priors
 from calib.data.measurements import Measurements
+from calib.data.references import References
 from calib.diagnosis.reasons import Why
 from calib.errors import ModelError, UrdfError, VerdictError
 from calib.example import PAPER_TARGET_AS_PRINTED
@@ -87,6 +88,14 @@ def test_stages_follow_one_another_and_name_what_they_try(ur3, table, paper_cell
     assert stages == [Stage.MISTAKES, Stage.MODELS, Stage.FOLDS, Stage.VERDICT]
     assert tried.keys() == {Stage.MODELS}  # the table is right: no mistake is looked for
     assert {candidate.name for candidate in result.method.candidates} <= set(tried[Stage.MODELS])
+
+
+def test_swapped_columns_are_said_and_not_fitted(ur3, table):
+    swapped = replace(table, joints=table.joints[:, [0, 2, 1, 3, 4, 5]])
+    c = calibrate(ur3, swapped)
+    (reason,) = c.verdict.reasons
+    assert (c.verdict.use, reason.why) == ("do not use", Why.COLUMNS_SWAPPED)
+    assert (c.model.name, c.cross_validation) == ("zeros", None)
 
 
 def test_ranges_are_those_of_the_rows_with_weight(ur3, table, paper_cell):
@@ -637,6 +646,47 @@ def test_a_drift_of_the_tracker_is_taken_out(make_scene):
     np.testing.assert_allclose(*residuals, atol=6e-5)
     assert other.new_point == pytest.approx(one.new_point, rel=0.1)
     assert Why.DRIFT_REMOVED not in reasons(one)
+
+
+def test_rows_are_fitted_with_a_step_of_the_tracker_taken_out_where_residuals_place_it(make_scene):
+    """References are read before every tenth pose and after the last; the tracker moves before pose 27 of 40."""
+    scene = arm(make_scene, 63)
+    still = table_of(scene, random_joint_values(scene.robot, 40, 3), np.random.default_rng(3))
+    by = np.array([2e-4, -1.5e-4, 1e-4])
+    targets = {"floor": [1.0, 0.2, 0.1], "wall": [-0.8, 0.9, 0.3]}
+    readings, names, rows, of_poses = [], [], [], []
+    row = 0
+    for pose in range(41):
+        if pose % 10 == 0:
+            for name, point in targets.items():
+                row += 1
+                readings.append(np.array(point) + (pose >= 27) * by)
+                names.append(name)
+                rows.append(row)
+        if pose < 40:
+            row += 1
+            of_poses.append(row)
+    noise = 1e-5 * np.random.default_rng(1).normal(size=(len(rows), 3))
+    references = References(
+        points=np.array(readings) + noise,
+        targets=tuple(names),
+        groups=("",) * len(rows),
+        rows=tuple(rows),
+        sequence=tuple(range(1, row + 1)),
+    )
+    moved = replace(
+        still,
+        points=still.points + (np.arange(40) >= 27)[:, None] * by,
+        rows=tuple(of_poses),
+        references=references,
+    )
+    result = calibrate(scene.robot, moved, model="dh", validate=False)
+    (step,) = result.drift.found
+    assert step.after_row <= of_poses[26] <= of_poses[27] <= step.before_row
+    fitted = result.fit.measurements
+    np.testing.assert_allclose(fitted.points, still.points, atol=3e-5)
+    alone = calibrate(scene.robot, replace(fitted, references=None), model="dh", validate=False)
+    np.testing.assert_array_equal(result.geometry.x, alone.geometry.x)
 
 
 def test_a_drift_seen_from_two_stations_stays_a_doubt(make_scene, join):

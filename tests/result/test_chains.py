@@ -22,7 +22,6 @@ from calib.result.collected_evidence import _expected_over_limits
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
-from tests.two_handed import CELL, two_handed
 
 TIPS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
 
@@ -155,15 +154,58 @@ def test_two_robots_without_noise_are_recovered_through_their_own_urdfs(tmp_path
         assert np.allclose(found[:, :3, 3], expected, rtol=0.0, atol=1e-8)
 
 
-def test_each_hand_is_judged_by_its_rows_and_its_own_target():
-    table = two_handed(1, stops=60).measurements
-    result = calibrate("panda", table, cell=CELL, model="zeros", robust=False)
-    for hand, chain in zip("ab", result.trust.chains, strict=True):
-        of_hand = np.array(table.targets) == hand
-        assert chain.rows == of_hand.sum()
+def two_arms() -> Urdf:
+    """A turning waist that carries a left arm of three joints, and a right one of two."""
+    joints = [("waist", "base", "torso", "0 0 0.3", "0 0 0", "0 0 1")]
+    for side, y in (("left", 0.2), ("right", -0.2)):
+        upper, lower = f"{side}_upper", f"{side}_lower"
+        joints += [
+            (f"{side}_shoulder", "torso", upper, f"0.1 {y} 0.2", "0 0 0", "0 1 0"),
+            (f"{side}_elbow", upper, lower, "0.3 0 0.05", "0.5 0 0", "0 1 0"),
+        ]
+    joints.append(("left_wrist", "left_lower", "left_hand", "0.25 0 0.02", "0 0 0.4", "1 0 0"))
+    lines = ['<robot name="two_arms">', '<link name="base"/>']
+    for name, parent, child, xyz, rpy, axis in joints:
+        lines += [
+            f'<link name="{child}"/>',
+            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>',
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>',
+            '<limit lower="-2" upper="2" effort="1" velocity="1"/></joint>',
+        ]
+    return Urdf.from_bytes("\n".join([*lines, "</robot>"]).encode(), "two_arms.urdf")
+
+
+def test_each_hand_is_judged_by_its_rows_its_joints_and_its_own_target():
+    tips = {"left": "left_hand", "right": "right_lower"}
+    cell = Cell(tips=tips, model="zeros")
+    robot = robot_of_cell(two_arms(), cell)
+    zeros = error_model(robot, "zeros", target=False)
+    true = zeros.apply(robot, np.array([4.0, -3.0, 6.0, -5.0, 3.0, -4.0]) * 1e-3)
+    rng = np.random.default_rng(5)
+    # So few that the verdicts state the numbers of parameters.
+    poses = {"left": 7, "right": 6}
+    joints, points, targets = [], [], []
+    for seed, (hand, count) in enumerate(poses.items()):
+        q = random_joint_values(robot, count, seed)
+        T = poses_by_pinocchio(true.urdf, robot, q, "base", tips[hand])
+        joints.append(q)
+        points.append(T[:, :3, :3] @ OFFSETS[hand] + T[:, :3, 3])
+        points[-1] += NOISE * rng.standard_normal((count, 3))
+        targets += [hand] * count
+    table = Measurements(
+        robot.joint_names, np.concatenate(joints), np.concatenate(points), targets=tuple(targets)
+    )
+    result = calibrate(robot, table, cell=cell, robust=False)
+    # The waist moves both hands.
+    joints_of = {"left": 4, "right": 3}
+    for hand, chain in zip(poses, result.trust.chains, strict=True):
+        assert (chain.tip, chain.rows) == (tips[hand], poses[hand])
         target = result.setup.targets.index(hand)
         expected = _expected_over_limits(result, result.geometry, 0, target)
         assert (chain.expected, chain.expected_of_nominal) == expected[:2]
+        (few,) = (r.values for r in chain.verdict.reasons if r.why is Why.FEW_NUMBERS)
+        assert (few["poses"], few["numbers"]) == (poses[hand], 3 * poses[hand])
+        assert few["parameters"] == joints_of[hand]
     first, second = result.trust.chains
     assert first.expected_of_nominal != second.expected_of_nominal
 
