@@ -128,6 +128,25 @@ def test_outliers_are_told_among_held_out_and_fresh_rows_alike():
     assert fresh.rms == pytest.approx(np.sqrt(np.mean(lengths**2)))
 
 
+def test_a_pose_alone_has_one_degree_of_freedom():
+    """By the tail of F(1, 1), which is Cauchy's squared, one of two rows is an outlier from 127 times the other on."""
+    errors = np.array([[1e-3, 0.0, 0.0], [0.0, 0.2, 0.0]])
+    found = fresh_error(errors, errors, np.arange(2), np.array([False, True]), 6)
+    assert (found.freedom, found.freedom_of_row, found.outliers) == (1.0, 1.0, 0.5)
+    assert found.rms == pytest.approx(1e-3)
+    assert found.limit == pytest.approx(1e-3 / np.tan(0.25 * np.pi * 0.01))
+    errors[1] *= 0.5
+    found = fresh_error(errors, errors, np.arange(2), np.array([False, True]), 6)
+    assert found.outliers == 0.0
+    assert found.rms == pytest.approx(np.sqrt(0.5 * (1e-6 + 1e-2)))
+
+
+def test_rows_without_errors_say_as_little_as_one():
+    nothing = np.zeros((8, 3))
+    found = forecast_of(nothing, nothing)
+    assert (found.rms, found.freedom, found.freedom_of_row) == (0.0, 1.0, 0.125)
+
+
 def test_a_table_without_outliers_has_none_in_99_of_100():
     rng = np.random.default_rng(6)
     count = 0
