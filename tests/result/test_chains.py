@@ -17,11 +17,12 @@ from calib.numerics.errors import Errors
 from calib.numerics.geometry import pose_of
 from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
-from calib.result.chains import ChainResult, verdict_with_chains
-from calib.result.collected_evidence import _expected_over_limits
+from calib.result.chains import ChainResult, evidence_of_chain, verdict_with_chains
+from calib.result.collected_evidence import _collect_evidence, _expected_over_limits
 from calib.robot.ranges import random_joint_values
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
+from tests import images
 
 TIPS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
 
@@ -208,6 +209,30 @@ def test_each_hand_is_judged_by_its_rows_its_joints_and_its_own_target():
         assert few["parameters"] == joints_of[hand]
     first, second = result.trust.chains
     assert first.expected_of_nominal != second.expected_of_nominal
+
+
+def test_images_of_a_chain_count_as_poses():
+    """The corners of one are no more numbers than its pose has."""
+    board = replace(images.BOARD, sigma_scale=0.0, sigma_warp=0.0, sigma_corner=0.0)
+    cameras = {"": images.camera(sigma=np.zeros(9))}
+    cell = images.cell(cameras=cameras, boards={"": board}, model="frames")
+    count = 4
+    table = images.table(images.poses(count), noise=0.1, seed=1)
+    result = calibrate(images.arm(), table, cell=cell, robust=False)
+    fitted = result.fit.geometry
+    rows = fitted.estimate.problem.rows
+    residual = result.rows.residual_calibrated
+    evidence = _collect_evidence(result, result.geometry, fitted, residual, rows, ())
+    assert evidence.counts == {"poses": 4, "pairs": 0, "images": 4, "numbers": 24}
+    chain = np.repeat([0, 1, 1, 1], len(rows) // count)
+    of_two = replace(rows, samples=replace(rows.samples, chain=chain))
+    x = result.geometry.x
+    for number, expected in enumerate([1, 3]):
+        moves = np.zeros(len(x), dtype=bool)
+        part = evidence_of_chain(evidence, of_two, number, moves, x, (0.0, 0.0, 0.0))
+        numbers = 6 * expected
+        counts = {"poses": expected, "pairs": 0, "images": expected, "numbers": numbers}
+        assert part.counts == counts
 
 
 NOTHING = Errors({})
