@@ -50,6 +50,14 @@ PARALLEL: dict[str, Numbers] = {
     "J6": (0, 117, 0, 0, 1, 0),
 }
 
+#: A palletiser: four joints.
+PALLETISER: dict[str, Numbers] = {
+    "J1": (0, 431, 62, -90, 1, 0),
+    "J2": (0, 0, 517, 0, 1, 0),
+    "J3": (0, 0, 480, 0, 1, 0),
+    "J4": (0, 0, 85, 90, 1, 0),
+}
+
 COLUMNS = ("theta", "d", "a", "alpha", "direction", "offset")
 
 #: Readings off a pendant [deg].
@@ -147,6 +155,7 @@ TABLES = {
         one("J2", "offset", 0).text, Why.DH_CELLS, (("J2", "theta", -90),)
     ),
     "theta of J3 off by 90 deg": one("J3", "theta", 90),
+    "a2 of a palletiser": one("J2", "a", 571, PALLETISER),
     "sense of J4": one("J4", "direction", 1),
     "lines J5 and J6 exchanged": Spoilt(
         table_text(exchanged(STANDARD, "J5", "J6"), coupling=True),
@@ -171,17 +180,29 @@ TABLES = {
 }
 
 
+#: What has the effect of the wrong cell; of the other tables nothing has.
+ELSEWHERE = {
+    "wrong d1": "base",
+    "d6 missing": "tool",
+    "offset of J2 missing": "joint",
+    "theta of J3 off by 90 deg": "joint",
+    "sense of J4": "joint",
+}
+
+
 def shown(
     spoilt: Spoilt, rng: np.random.Generator | None = None, sigma: float = 0.0
 ) -> Measurements:
     """What the pendant shows: rounded to 0.01 deg and 0.01 mm; with a generator, with noise of sigma of these."""
-    readings = np.radians(np.array(POSES, dtype=float))
+    rows = spoilt.true or STANDARD
+    shown_readings = np.radians(np.array(POSES, dtype=float))[:, : len(rows)]
+    readings = shown_readings
     if rng is not None:
         readings = readings + np.radians(0.01) * sigma * rng.standard_normal(readings.shape)
     values = readings.copy()
     if spoilt.coupling:
         values[:, 2] += values[:, 1]
-    T = true_poses(spoilt.true or STANDARD, values, modified=spoilt.modified)
+    T = true_poses(rows, values, modified=spoilt.modified)
     points, rotations = T[:, :3, 3], T[:, :3, :3]
     if rng is not None:
         points = points + 1e-5 * sigma * rng.standard_normal(points.shape)
@@ -194,8 +215,8 @@ def shown(
         left, _, right = np.linalg.svd(rotations)
         rotations = left @ right
     return Measurements(
-        tuple(f"J{i + 1}" for i in range(6)),
-        np.radians(np.array(POSES, dtype=float)),
+        tuple(f"J{i + 1}" for i in range(len(rows))),
+        shown_readings,
         np.round(points, 5),
         kinds=("pose",) * len(POSES),
         rotations=rotations,
@@ -237,6 +258,8 @@ def test_three_poses_name_the_wrong_cell(name, tmp_path):
     assert reason.values["error_m"] < 5e-5
     assert reason.values["error_rad"] < 1e-3
     assert "others" not in reason.values
+    if spoilt.why is Why.DH_CELLS:
+        assert reason.values["elsewhere"] == ELSEWHERE.get(name, "")
 
 
 @pytest.mark.parametrize(
