@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import fdtrc
 
 from calib.data.measurements import Measurements
 from calib.data.references import References
 from calib.diagnosis.frame_drift import (
     Displacements,
     Mover,
+    _beyond,
     find_frame_drift,
     shown_by_references,
     without_frame_drift,
@@ -131,6 +133,16 @@ def test_a_drift_is_taken_out():
     left = without_frame_drift(m, displaced).points - points
     assert np.sqrt(np.mean(left**2)) < 3.0 * drift.left
     assert [reason.why for reason in shown_by_references(drift)] == [Why.REFERENCES_DRIFT]
+    # By hand: the F test of a slope of each axis, times three, as a third of the false alarms are drifts of the frame.
+    share = m.references.places_of(m.references.rows) / 43.0
+    names = np.array(m.references.targets)
+    read = [np.column_stack([share, m.references.points])[names == k] for k in sorted(set(names))]
+    read = np.concatenate([of_one - of_one.mean(axis=0) for of_one in read])
+    slopes = read[:, 0] @ read[:, 1:] / np.sum(read[:, 0] ** 2)
+    explained = np.sum(read[:, 0] ** 2) * np.sum(slopes**2)
+    freedom = read[:, 1:].size - 6 - 3
+    F = explained / 3.0 / ((np.sum(read[:, 1:] ** 2) - explained) / freedom)
+    assert found.p == pytest.approx(3.0 * fdtrc(3, freedom, F), rel=1e-6, abs=0.0)
 
 
 def test_a_reference_that_was_knocked_moves_no_pose():
@@ -258,6 +270,16 @@ def test_residuals_tell_a_knocked_reference_from_a_step(scene):
     _, result = calibrated(scene, step_of(28, 2.0 * BY, lambda name: name != "ball"), count=1)
     (moved,) = result.drift.found
     assert (moved.mover, moved.reference) == (Mover.REFERENCE, "floor 1")
+
+
+def test_a_frame_s_place_that_the_fit_has_is_no_further_regressor():
+    """Columns of any size, of which the first is in the range of the fit's, and the second all but so."""
+    base = np.linalg.qr(np.random.default_rng(0).normal(size=(12, 4)))[0]
+    inside, aside, outside = base @ [30.0, 0.0, -40.0, 0.0], base[:, 1].copy(), np.zeros(12)
+    outside[5] = 1e-3
+    aside[5] += 1e-5
+    columns = np.column_stack([inside, aside, outside])
+    np.testing.assert_array_equal(_beyond(base, columns), columns[:, 2:])
 
 
 def test_references_that_stand_still_change_nothing(scene):

@@ -232,6 +232,9 @@ def test_many_flagged_rows_are_accidents_where_they_are_as_far_off_the_nominal_r
         "use",
         [Why.GAIN, Why.VALIDATION_GAIN, Why.MANY_OUTLIERS],
     )
+    # That numbers are few is said before.
+    few = judge(replace(e, parameters=60))
+    assert codes(few)[-2:] == [Why.FEW_NUMBERS, Why.MANY_OUTLIERS]
     result = judge(replace(e, nominal=GOOD.nominal))
     assert (result.use, codes(result)[0]) == ("do not use", Why.WORSE_WITH_OUTLIERS)
 
@@ -314,6 +317,16 @@ def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
     assert replace(GOOD, floor=np.full((ROWS, 3), noise)).remains_held_out < 0.03
     clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out
     assert clean == pytest.approx(0.2 / 2.5, rel=0.05)
+    # The noise's mean square, of three scalars of each of 28 rows that are no outliers, is uncertain.
+    before, after, noise = (np.full((ROWS, 3), size * 1e-4) for size in (3.0, np.sqrt(2.0), 1.0))
+    left = replace(
+        GOOD,
+        nominal=replace(GOOD.nominal, residual=before),
+        calibrated=replace(GOOD.calibrated, residual=after),
+        floor=noise / GOOD.scales,
+    )
+    expected = (2.0 - 1.0 - np.sqrt(2.0 / 84.0)) / (9.0 - 1.0)
+    assert left.remains_held_out == pytest.approx(np.sqrt(expected))
     # A robot whose errors only a non-geometric model explains is no robot at its noise.
     assert replace(GOOD, **RIGHT).at_noise_level
     assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).at_noise_level

@@ -22,7 +22,7 @@ from tests.judged import arm, judged, reasons, table_of
 
 
 def drift_in(make_scene, way: np.ndarray, *frames: str) -> dict[str, Any]:
-    """Values of the drift in the residuals of a fit to points, seen in frames by turns, displaced by ``way``, (90, 3)."""
+    """Values of the drift in a fit to points that are displaced by ``way``, (90, 3), and seen in frames by turns."""
     scene, rng = arm(make_scene, 63), np.random.default_rng(3)
     m = table_of(scene, random_joint_values(scene.robot, 90, 3), rng, way)
     if frames:
