@@ -31,13 +31,15 @@ from tests.judged import arm, table_of
 NOISE = 1e-5
 
 
-def with_references(points, displace, *, count=2, every=5, seed=1, joints=None):
-    """A table of poses at points (N, 3) and of targets that stand still, displaced by the row's place and name."""
+def with_references(points, displace, *, count=2, every=5, seed=1, joints=None, apart=1.0):
+    """A table of poses at points (N, 3) and of targets that stand still, displaced by the row's place and name.
+
+    The targets stand about so far ``apart`` [m].
+    """
     rng = np.random.default_rng(seed)
     poses = len(points)
-    still = np.array([[1.0, 0.2, 0.1], [-0.8, 0.9, 0.3], [0.1, -1.0, 0.8], [0.5, 0.5, -0.2]])[
-        :count
-    ]
+    still = np.array([[1.0, 0.2, 0.1], [-0.8, 0.9, 0.3], [0.1, -1.0, 0.8], [0.5, 0.5, -0.2]])
+    still = apart * still[:count]
     order = []
     for pose in range(poses + 1):
         if pose % every == 0:
@@ -191,23 +193,26 @@ def test_links_name_all_references():
         find_frame_drift(m, {"floor 1": "world"})
 
 
-def test_three_references_show_a_rotation():
+@pytest.mark.parametrize("apart", [1.0, 0.05])
+def test_three_references_show_a_rotation(apart):
+    """The nearer they are, the larger it has to be."""
     points = random_points()
-    turn = np.array([0.0, 0.0, 3e-4])
-    turned = lambda t, p, _: np.cross(turn, p) * (t >= 24)  # noqa: E731
-    m = with_references(points, turned, count=4)
+    turn = np.array([0.0, 0.0, 3e-4]) / apart
+    R = Rotation.from_rotvec(turn).as_matrix()
+    turned = lambda t, p, _: (R @ p - p) * (t >= 24)  # noqa: E731
+    m = with_references(points, turned, count=4, apart=apart)
     rotations = np.tile(np.eye(3), (30, 1, 1))
     late = np.array([row > 24 for row in m.rows])
-    rotations[late] = Rotation.from_rotvec(turn).as_matrix()
+    rotations[late] = R
     m = replace(m, kinds=("pose",) * 30, rotations=rotations)
     drift, displaced = find_frame_drift(m)
     (step,) = drift.found
-    np.testing.assert_allclose(step.rotation, turn, atol=4e-5)
+    np.testing.assert_allclose(step.rotation, turn, atol=4e-5 / apart)
     corrected = without_frame_drift(m, displaced)
     clear = np.array([row < 21 or row > 33 for row in m.rows])
-    assert np.abs(corrected.points - points)[clear].max() < 5e-5
+    assert np.abs(corrected.points - points)[clear].max() < 5e-5 / apart
     left = Rotation.from_matrix(corrected.rotations[clear]).magnitude()
-    assert left.max() < 5e-5
+    assert left.max() < 5e-5 / apart
 
 
 def test_stations_are_looked_at_by_themselves():
