@@ -11,6 +11,7 @@ import pytest
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.dh_changes import Change
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.robot.robot import Robot
@@ -312,6 +313,25 @@ def test_a_column_in_another_unit_and_another_arm_are_named(tmp_path):
     # One length of it is a slip, and no other arm.
     slip = Spoilt(table_text(with_cell(true, "J5", d=19.85)), Why.DH_CELLS, (("J5", "d", 119.85),))
     assert is_named(told(slip, shown(replace(slip, true=true)), tmp_path), slip, within=0.001)
+
+
+def test_rows_that_agree_at_some_joint_values_alone_are_another_robot(tmp_path):
+    """A joint that counts the other way from another zero; a whole turn more is the same robot."""
+    path = tmp_path / "rows.csv"
+    path.write_text(table_text(STANDARD))
+    dh = Robot.load(path).urdf.dh
+
+    def with_first(**numbers: float) -> Change:
+        first = replace(dh.table.rows[0], **numbers)
+        table = replace(dh.table, rows=(first, *dh.table.rows[1:]))
+        return Change(replace(dh, table=table), Why.DH_CELLS)
+
+    for at in (-1.0, 0.0, 1.0):
+        turned = with_first(direction=1.0, offset=-2.0 * at)
+        q = np.array([[at, 0.3, -0.2, 0.5, 0.1, 0.4]])
+        assert turned.rows.poses(q) == pytest.approx(dh.poses(q))
+        assert not with_first().makes_same_robot(turned)
+    assert with_first().makes_same_robot(with_first(offset=2.0 * np.pi))
 
 
 def test_of_two_mistakes_none_is_named(tmp_path):
