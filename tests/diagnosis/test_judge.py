@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from calib.diagnosis.evidence import Evidence, ValidationErrors
 from calib.diagnosis.judge import judge
@@ -309,6 +310,24 @@ def test_scalars_that_were_not_measured_do_not_count():
 def test_a_larger_model_that_moves_joints_alone_is_judged_by_what_it_changes():
     """Gains are no lengths and no angles: none of its parameters in metres or radians has moved."""
     assert judge(replace(GOOD, largest=0.0)).use == "use"
+
+
+@pytest.mark.parametrize(("share", "may_be_chance"), [(0.98, True), (1.02, False)])
+def test_a_gain_is_held_against_chance_with_a_degree_of_freedom_less_than_poses(
+    share, may_be_chance
+):
+    """Four poses, at two of which the squared error falls by more: t is mean over standard error, by hand."""
+    t = share * stats.t.ppf(0.97, 3)
+    pose = np.arange(ROWS) % 4
+    falls = 1.0 + np.sqrt(3.0) / t * np.array([-1.0, 1.0, -1.0, 1.0])
+    along_x = 1e-4 * np.eye(3)[0]
+    nominal, calibrated = (
+        replace(GOOD.nominal, poses=pose, residual=np.sqrt(squares)[pose, None] * along_x)
+        for squares in (1.0 + falls, np.ones(4))
+    )
+    e = replace(GOOD, nominal=nominal, calibrated=calibrated, outliers=np.zeros(ROWS, dtype=bool))
+    assert e.gain == pytest.approx(t)
+    assert e.unproven == may_be_chance
 
 
 def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
