@@ -97,7 +97,7 @@ def _changed_cameras(
     rows, setup = fitted.estimate.problem.rows, fitted.setup
     in_stack = np.isin(np.arange(len(rows)), stack.row_of)
     for f, group in enumerate(setup.groups):
-        of_camera = rows.has_views & (rows.samples.frame == f)
+        of_camera = rows.samples.frame == f
         if not np.any(of_camera & in_stack):
             continue
         first = _first_rows(rows.blocks, of_camera & in_stack)
@@ -121,7 +121,7 @@ def _changed_cameras(
         later = np.arange(len(rows)) >= jump.row
         if gain_on_blocks(fitted, later[:, None, None] * columns, residuals.weights) < PREDICTS:
             continue
-        in_camera = np.array([name == group for name in table.groups]) & table.is_image
+        in_camera = np.array([name == group for name in table.groups])
         from_there = in_camera & (np.arange(len(table)) >= places[jump.row])
         names = [
             list(dict.fromkeys(table.images[i] or str(table.rows[i]) for i in np.flatnonzero(side)))

@@ -33,21 +33,24 @@ def changed(table: Measurements, other: VirtualCell) -> Measurements:
     )
 
 
-@pytest.mark.slow
 def test_nothing_is_found_in_a_correct_table(seen: tuple[VirtualCell, Measurements]) -> None:
     """Noise and an arm's errors are no change."""
     cell, table = seen
     assert changes_between_pictures(cell.truth.nominal, CELL, table) == ()
 
 
-@pytest.mark.slow
-def test_a_camera_that_was_moved_by_millimetres(seen: tuple[VirtualCell, Measurements]) -> None:
-    """It stands 4 mm aside from some picture on: the later ones are fewer, and are left out."""
-    cell, table = seen
+def moved_camera(cell: VirtualCell) -> VirtualCell:
+    """Return the cell with its camera 4 mm aside."""
     bump = np.eye(4)
     bump[0, 3] = 4e-3
     truth = replace(cell.truth, T_frame_base=read_only(bump @ cell.truth.T_frame_base))
-    both = changed(table, replace(cell, truth=truth))
+    return replace(cell, truth=truth)
+
+
+def test_a_camera_that_was_moved_by_millimetres(seen: tuple[VirtualCell, Measurements]) -> None:
+    """From some picture on: the later ones are fewer, and are left out."""
+    cell, table = seen
+    both = changed(table, moved_camera(cell))
     (finding,) = changes_between_pictures(cell.truth.nominal, CELL, both)
     assert finding.reason.why is Why.CAMERA_MOVED
     assert finding.reason.values["first"] == str(FIRST)
@@ -55,7 +58,35 @@ def test_a_camera_that_was_moved_by_millimetres(seen: tuple[VirtualCell, Measure
     assert set(finding.rows) == set(np.flatnonzero(of_pictures(both) >= FIRST) + 1)
 
 
-@pytest.mark.slow
+def test_of_two_cameras_the_one_that_was_moved_is_named(
+    seen: tuple[VirtualCell, Measurements],
+) -> None:
+    """The other one took half as many pictures, and its rows come first."""
+    cell, table = seen
+    left, right = table.select(of_pictures(table) < 12), changed(table, moved_camera(cell))
+    both = joined(
+        *(
+            replace(
+                part,
+                images=tuple(f"{name} {image}" for image in part.images),
+                groups=(name,) * len(part),
+            )
+            for part, name in ((left, "left"), (right, "right"))
+        )
+    )
+    (finding,) = changes_between_pictures(cell.truth.nominal, CELL, both)
+    values = finding.reason.values
+    assert (finding.reason.why, values["camera"]) == (Why.CAMERA_MOVED, "right")
+    assert (values["first"], values["off"], values["of"]) == (
+        f"right {FIRST}",
+        COUNT - FIRST,
+        COUNT,
+    )
+    assert values["moved_m"] == pytest.approx(4e-3, rel=0.3)
+    later = of_pictures(both) >= 12 + FIRST
+    assert finding.rows == tuple(np.array(both.rows)[later].tolist())
+
+
 def test_a_camera_that_was_refocused(seen: tuple[VirtualCell, Measurements]) -> None:
     """Its focal lengths are 1 % larger from some picture on."""
     cell, table = seen

@@ -28,10 +28,11 @@ def rounded(values, step):
     return step * np.round(values / step) if step else values
 
 
-def fit_of(make_scene, noise, step, joint_step=0.0) -> Fitted:
-    """A fit to forty points with noise [m], rounded to a step [m], as their joint values are [rad]."""
+def fit_of(make_scene, noise, step, joint_step=0.0, still=()) -> Fitted:
+    """A fit to forty points with noise [m], rounded to steps [m] and [rad]; some joints stand still, at 30 deg."""
     scene = arm(make_scene, 7)
     q = random_joint_values(scene.robot, 40, 7)
+    q[:, list(still)] = np.radians(30.0)
     rng = np.random.default_rng(7)
     table = table_of(scene, q, rng)
     exact = scene.kinematics.points(scene.x, scene.samples(len(q), q=q))
@@ -59,6 +60,14 @@ def test_residuals_that_are_rounding_were_not_measured(make_scene, noise, step, 
         values = found[0].values
         assert values["rounding_m"] == pytest.approx(step / np.sqrt(12.0))
         assert values["noise_m"] < max(1.3 * values["rounding_m"], 1e-6)
+
+
+def test_a_joint_that_stood_still_has_no_rounding_that_differs(make_scene):
+    """Its only value is a multiple of ten degrees."""
+    (reason,) = computed_measurements(fit_of(make_scene, 0.0, 1e-5, STEP, still=[3]))
+    values = reason.values
+    assert values["noise_m"] == pytest.approx(values["rounding_m"], rel=0.3)
+    assert values["rounding_m"] < 3e-5
 
 
 def test_rounded_joint_values_move_a_coordinate_by_their_lever(make_scene):

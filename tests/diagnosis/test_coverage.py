@@ -114,6 +114,20 @@ def test_a_joint_hardly_moved_below_a_third_of_a_radian_or_five_centimetres():
     assert still(0.3, 0.3, 0.045, 0.4) == [False, False, True, False]
 
 
+def test_joints_that_used_little_of_their_ranges_are_named_the_narrowest_first(ur3):
+    """Of the UR3 a range is a whole turn: here a fifth and an eighth of one, all of the others."""
+    ways = np.where(np.arange(6) == 1, 0.2, np.where(np.arange(6) == 4, 0.125, 1.0))
+    q = ways * np.linspace(-np.pi, np.pi, 20)[:, None]
+    q[:, 0] = np.random.default_rng(1).permutation(q[:, 0])
+    rows, setup = rows_and_setup(ur3, Measurements(ur3.joint_names, q, tips(ur3, q)), Cell())
+    (reason,) = partial_coverage(fit(Task(ur3, Cell(), setup, "frames"), rows))
+    assert reason.values["joints"] == [ur3.joint_names[4], ur3.joint_names[1]]
+    assert reason.values["shares"] == pytest.approx([0.125, 0.2])
+    assert reason.values["lows"] == pytest.approx([-0.125 * np.pi, -0.2 * np.pi])
+    assert reason.values["highs"] == pytest.approx([0.125 * np.pi, 0.2 * np.pi])
+    assert reason.values["slides"] == [False, False]
+
+
 # Views of boards
 
 
@@ -191,6 +205,8 @@ def test_noise_is_extrapolated_as_the_covariance_says(make_scene):
         scene = make_scene(seed, length=3e-4, angle=3e-3, noise=1e-4, frames=[np.eye(4)])
         factors.append(extrapolated(scene, scene.points(40)))
     assert min(factors) >= 1.0
+    # Errors of rows that are themselves in a fit would be below their noise, and all factors 1.
+    assert max(factors) > 1.2
     assert np.mean(factors) < 1.35
 
 

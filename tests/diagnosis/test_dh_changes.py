@@ -11,6 +11,7 @@ import pytest
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.diagnosis.dh_changes import Change
 from calib.diagnosis.reasons import Reason, Why
 from calib.diagnosis.usual_mistakes import find_usual_mistake
 from calib.robot.robot import Robot
@@ -48,6 +49,14 @@ PARALLEL: dict[str, Numbers] = {
     "J4": (0, 174, 0, 90, 1, 0),
     "J5": (0, 120, 0, -90, 1, 0),
     "J6": (0, 117, 0, 0, 1, 0),
+}
+
+#: A palletiser: four joints.
+PALLETISER: dict[str, Numbers] = {
+    "J1": (0, 431, 62, -90, 1, 0),
+    "J2": (0, 0, 517, 0, 1, 0),
+    "J3": (0, 0, 480, 0, 1, 0),
+    "J4": (0, 0, 85, 90, 1, 0),
 }
 
 COLUMNS = ("theta", "d", "a", "alpha", "direction", "offset")
@@ -147,6 +156,7 @@ TABLES = {
         one("J2", "offset", 0).text, Why.DH_CELLS, (("J2", "theta", -90),)
     ),
     "theta of J3 off by 90 deg": one("J3", "theta", 90),
+    "a2 of a palletiser": one("J2", "a", 571, PALLETISER),
     "sense of J4": one("J4", "direction", 1),
     "lines J5 and J6 exchanged": Spoilt(
         table_text(exchanged(STANDARD, "J5", "J6"), coupling=True),
@@ -171,17 +181,29 @@ TABLES = {
 }
 
 
+#: What has the effect of the wrong cell; of the other tables nothing has.
+ELSEWHERE = {
+    "wrong d1": "base",
+    "d6 missing": "tool",
+    "offset of J2 missing": "joint",
+    "theta of J3 off by 90 deg": "joint",
+    "sense of J4": "joint",
+}
+
+
 def shown(
     spoilt: Spoilt, rng: np.random.Generator | None = None, sigma: float = 0.0
 ) -> Measurements:
     """What the pendant shows: rounded to 0.01 deg and 0.01 mm; with a generator, with noise of sigma of these."""
-    readings = np.radians(np.array(POSES, dtype=float))
+    rows = spoilt.true or STANDARD
+    shown_readings = np.radians(np.array(POSES, dtype=float))[:, : len(rows)]
+    readings = shown_readings
     if rng is not None:
         readings = readings + np.radians(0.01) * sigma * rng.standard_normal(readings.shape)
     values = readings.copy()
     if spoilt.coupling:
         values[:, 2] += values[:, 1]
-    T = true_poses(spoilt.true or STANDARD, values, modified=spoilt.modified)
+    T = true_poses(rows, values, modified=spoilt.modified)
     points, rotations = T[:, :3, 3], T[:, :3, :3]
     if rng is not None:
         points = points + 1e-5 * sigma * rng.standard_normal(points.shape)
@@ -194,8 +216,8 @@ def shown(
         left, _, right = np.linalg.svd(rotations)
         rotations = left @ right
     return Measurements(
-        tuple(f"J{i + 1}" for i in range(6)),
-        np.radians(np.array(POSES, dtype=float)),
+        tuple(f"J{i + 1}" for i in range(len(rows))),
+        shown_readings,
         np.round(points, 5),
         kinds=("pose",) * len(POSES),
         rotations=rotations,
@@ -237,6 +259,8 @@ def test_three_poses_name_the_wrong_cell(name, tmp_path):
     assert reason.values["error_m"] < 5e-5
     assert reason.values["error_rad"] < 1e-3
     assert "others" not in reason.values
+    if spoilt.why is Why.DH_CELLS:
+        assert reason.values["elsewhere"] == ELSEWHERE.get(name, "")
 
 
 @pytest.mark.parametrize(
@@ -289,6 +313,25 @@ def test_a_column_in_another_unit_and_another_arm_are_named(tmp_path):
     # One length of it is a slip, and no other arm.
     slip = Spoilt(table_text(with_cell(true, "J5", d=19.85)), Why.DH_CELLS, (("J5", "d", 119.85),))
     assert is_named(told(slip, shown(replace(slip, true=true)), tmp_path), slip, within=0.001)
+
+
+def test_rows_that_agree_at_some_joint_values_alone_are_another_robot(tmp_path):
+    """A joint that counts the other way from another zero; a whole turn more is the same robot."""
+    path = tmp_path / "rows.csv"
+    path.write_text(table_text(STANDARD))
+    dh = Robot.load(path).urdf.dh
+
+    def with_first(**numbers: float) -> Change:
+        first = replace(dh.table.rows[0], **numbers)
+        table = replace(dh.table, rows=(first, *dh.table.rows[1:]))
+        return Change(replace(dh, table=table), Why.DH_CELLS)
+
+    for at in (-1.0, 0.0, 1.0):
+        turned = with_first(direction=1.0, offset=-2.0 * at)
+        q = np.array([[at, 0.3, -0.2, 0.5, 0.1, 0.4]])
+        assert turned.rows.poses(q) == pytest.approx(dh.poses(q))
+        assert not with_first().makes_same_robot(turned)
+    assert with_first().makes_same_robot(with_first(offset=2.0 * np.pi))
 
 
 def test_of_two_mistakes_none_is_named(tmp_path):

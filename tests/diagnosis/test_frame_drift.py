@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import fdtrc
 
 from calib.data.measurements import Measurements
 from calib.data.references import References
 from calib.diagnosis.frame_drift import (
     Displacements,
     Mover,
+    _beyond,
     find_frame_drift,
     shown_by_references,
     without_frame_drift,
@@ -29,13 +31,15 @@ from tests.judged import arm, table_of
 NOISE = 1e-5
 
 
-def with_references(points, displace, *, count=2, every=5, seed=1, joints=None):
-    """A table of poses at points (N, 3) and of targets that stand still, displaced by the row's place and name."""
+def with_references(points, displace, *, count=2, every=5, seed=1, joints=None, apart=1.0):
+    """A table of poses at points (N, 3) and of targets that stand still, displaced by the row's place and name.
+
+    The targets stand about so far ``apart`` [m].
+    """
     rng = np.random.default_rng(seed)
     poses = len(points)
-    still = np.array([[1.0, 0.2, 0.1], [-0.8, 0.9, 0.3], [0.1, -1.0, 0.8], [0.5, 0.5, -0.2]])[
-        :count
-    ]
+    still = np.array([[1.0, 0.2, 0.1], [-0.8, 0.9, 0.3], [0.1, -1.0, 0.8], [0.5, 0.5, -0.2]])
+    still = apart * still[:count]
     order = []
     for pose in range(poses + 1):
         if pose % every == 0:
@@ -131,6 +135,16 @@ def test_a_drift_is_taken_out():
     left = without_frame_drift(m, displaced).points - points
     assert np.sqrt(np.mean(left**2)) < 3.0 * drift.left
     assert [reason.why for reason in shown_by_references(drift)] == [Why.REFERENCES_DRIFT]
+    # By hand: the F test of a slope of each axis, times three, as a third of the false alarms are drifts of the frame.
+    share = m.references.places_of(m.references.rows) / 43.0
+    names = np.array(m.references.targets)
+    read = [np.column_stack([share, m.references.points])[names == k] for k in sorted(set(names))]
+    read = np.concatenate([of_one - of_one.mean(axis=0) for of_one in read])
+    slopes = read[:, 0] @ read[:, 1:] / np.sum(read[:, 0] ** 2)
+    explained = np.sum(read[:, 0] ** 2) * np.sum(slopes**2)
+    freedom = read[:, 1:].size - 6 - 3
+    F = explained / 3.0 / ((np.sum(read[:, 1:] ** 2) - explained) / freedom)
+    assert found.p == pytest.approx(3.0 * fdtrc(3, freedom, F), rel=1e-6, abs=0.0)
 
 
 def test_a_reference_that_was_knocked_moves_no_pose():
@@ -179,23 +193,26 @@ def test_links_name_all_references():
         find_frame_drift(m, {"floor 1": "world"})
 
 
-def test_three_references_show_a_rotation():
+@pytest.mark.parametrize("apart", [1.0, 0.05])
+def test_three_references_show_a_rotation(apart):
+    """The nearer they are, the larger it has to be."""
     points = random_points()
-    turn = np.array([0.0, 0.0, 3e-4])
-    turned = lambda t, p, _: np.cross(turn, p) * (t >= 24)  # noqa: E731
-    m = with_references(points, turned, count=4)
+    turn = np.array([0.0, 0.0, 3e-4]) / apart
+    R = Rotation.from_rotvec(turn).as_matrix()
+    turned = lambda t, p, _: (R @ p - p) * (t >= 24)  # noqa: E731
+    m = with_references(points, turned, count=4, apart=apart)
     rotations = np.tile(np.eye(3), (30, 1, 1))
     late = np.array([row > 24 for row in m.rows])
-    rotations[late] = Rotation.from_rotvec(turn).as_matrix()
+    rotations[late] = R
     m = replace(m, kinds=("pose",) * 30, rotations=rotations)
     drift, displaced = find_frame_drift(m)
     (step,) = drift.found
-    np.testing.assert_allclose(step.rotation, turn, atol=4e-5)
+    np.testing.assert_allclose(step.rotation, turn, atol=4e-5 / apart)
     corrected = without_frame_drift(m, displaced)
     clear = np.array([row < 21 or row > 33 for row in m.rows])
-    assert np.abs(corrected.points - points)[clear].max() < 5e-5
+    assert np.abs(corrected.points - points)[clear].max() < 5e-5 / apart
     left = Rotation.from_matrix(corrected.rotations[clear]).magnitude()
-    assert left.max() < 5e-5
+    assert left.max() < 5e-5 / apart
 
 
 def test_stations_are_looked_at_by_themselves():
@@ -258,6 +275,16 @@ def test_residuals_tell_a_knocked_reference_from_a_step(scene):
     _, result = calibrated(scene, step_of(28, 2.0 * BY, lambda name: name != "ball"), count=1)
     (moved,) = result.drift.found
     assert (moved.mover, moved.reference) == (Mover.REFERENCE, "floor 1")
+
+
+def test_a_frame_s_place_that_the_fit_has_is_no_further_regressor():
+    """Columns of any size, of which the first is in the range of the fit's, and the second all but so."""
+    base = np.linalg.qr(np.random.default_rng(0).normal(size=(12, 4)))[0]
+    inside, aside, outside = base @ [30.0, 0.0, -40.0, 0.0], base[:, 1].copy(), np.zeros(12)
+    outside[5] = 1e-3
+    aside[5] += 1e-5
+    columns = np.column_stack([inside, aside, outside])
+    np.testing.assert_array_equal(_beyond(base, columns), columns[:, 2:])
 
 
 def test_references_that_stand_still_change_nothing(scene):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from calib.diagnosis.evidence import Evidence, ValidationErrors
 from calib.diagnosis.judge import judge
@@ -232,6 +233,9 @@ def test_many_flagged_rows_are_accidents_where_they_are_as_far_off_the_nominal_r
         "use",
         [Why.GAIN, Why.VALIDATION_GAIN, Why.MANY_OUTLIERS],
     )
+    # That numbers are few is said before.
+    few = judge(replace(e, parameters=60))
+    assert codes(few)[-2:] == [Why.FEW_NUMBERS, Why.MANY_OUTLIERS]
     result = judge(replace(e, nominal=GOOD.nominal))
     assert (result.use, codes(result)[0]) == ("do not use", Why.WORSE_WITH_OUTLIERS)
 
@@ -308,12 +312,40 @@ def test_a_larger_model_that_moves_joints_alone_is_judged_by_what_it_changes():
     assert judge(replace(GOOD, largest=0.0)).use == "use"
 
 
+@pytest.mark.parametrize(("share", "may_be_chance"), [(0.98, True), (1.02, False)])
+def test_a_gain_is_held_against_chance_with_a_degree_of_freedom_less_than_poses(
+    share, may_be_chance
+):
+    """Four poses, at two of which the squared error falls by more: t is mean over standard error, by hand."""
+    t = share * stats.t.ppf(0.97, 3)
+    pose = np.arange(ROWS) % 4
+    falls = 1.0 + np.sqrt(3.0) / t * np.array([-1.0, 1.0, -1.0, 1.0])
+    along_x = 1e-4 * np.eye(3)[0]
+    nominal, calibrated = (
+        replace(GOOD.nominal, poses=pose, residual=np.sqrt(squares)[pose, None] * along_x)
+        for squares in (1.0 + falls, np.ones(4))
+    )
+    e = replace(GOOD, nominal=nominal, calibrated=calibrated, outliers=np.zeros(ROWS, dtype=bool))
+    assert e.gain == pytest.approx(t)
+    assert e.unproven == may_be_chance
+
+
 def test_what_remains_is_counted_without_the_noise_that_the_best_model_leaves():
     """Nominal 2.5 mm, corrected 0.2 mm, all of it noise or none of it."""
     noise = 0.2e-3 / np.sqrt(3.0) / 1e-4
     assert replace(GOOD, floor=np.full((ROWS, 3), noise)).remains_held_out < 0.03
     clean = replace(GOOD, floor=np.full((ROWS, 3), 0.01)).remains_held_out
     assert clean == pytest.approx(0.2 / 2.5, rel=0.05)
+    # The noise's mean square, of three scalars of each of 28 rows that are no outliers, is uncertain.
+    before, after, noise = (np.full((ROWS, 3), size * 1e-4) for size in (3.0, np.sqrt(2.0), 1.0))
+    left = replace(
+        GOOD,
+        nominal=replace(GOOD.nominal, residual=before),
+        calibrated=replace(GOOD.calibrated, residual=after),
+        floor=noise / GOOD.scales,
+    )
+    expected = (2.0 - 1.0 - np.sqrt(2.0 / 84.0)) / (9.0 - 1.0)
+    assert left.remains_held_out == pytest.approx(np.sqrt(expected))
     # A robot whose errors only a non-geometric model explains is no robot at its noise.
     assert replace(GOOD, **RIGHT).at_noise_level
     assert not replace(GOOD, **RIGHT, floor=np.full((ROWS, 3), 0.3)).at_noise_level

@@ -121,21 +121,60 @@ def test_late_joint_values(seen: tuple[VirtualCell, Measurements]) -> None:
     assert finding.reason.values["of_step"] == pytest.approx(0.15, abs=0.01)
 
 
-@pytest.mark.slow
-def test_a_camera_that_was_moved(seen: tuple[VirtualCell, Measurements]) -> None:
-    """From picture 13 on it stands 10 cm and 5 deg away: these are fewer."""
-    cell, table = seen
+def moved_camera(cell: VirtualCell) -> VirtualCell:
+    """Return the cell with its camera 10 cm and 5 deg away."""
     bump = np.eye(4)
     bump[:3, :3] = Rotation.from_rotvec([0.0, np.radians(5.0), 0.0]).as_matrix()
     bump[:3, 3] = 0.0, 0.1, 0.0
     truth = replace(cell.truth, T_frame_base=read_only(bump @ cell.truth.T_frame_base))
-    after = named(replace(cell, truth=truth).measure(cell.poses(COUNT, 5), 5).measurements)
-    later = of_pictures(after) >= 13
-    both = joined(table.select(of_pictures(table) < 13), after.select(later))
+    return replace(cell, truth=truth)
+
+
+def refocused_camera(cell: VirtualCell) -> VirtualCell:
+    """Return the cell with focal lengths that are larger by a tenth."""
+    assert cell.equipment is not None
+    assert cell.equipment.camera.values is not None
+    values = cell.equipment.camera.values * np.where(np.arange(9) < 2, 1.1, 1.0)
+    camera = replace(cell.equipment.camera, values=read_only(values))
+    return replace(cell, equipment=replace(cell.equipment, cameras=(camera,)))
+
+
+def changed(table: Measurements, other: VirtualCell, first: int, last: int = COUNT) -> Measurements:
+    """Return the pictures before ``last``, those from ``first`` on of another cell."""
+    after = named(other.measure(other.poses(COUNT, 5), 5).measurements)
+    is_later = (of_pictures(after) >= first) & (of_pictures(after) < last)
+    return joined(table.select(of_pictures(table) < first), after.select(is_later))
+
+
+@pytest.mark.slow
+def test_a_camera_that_was_moved(seen: tuple[VirtualCell, Measurements]) -> None:
+    """From picture 13 on it stands elsewhere: these are fewer."""
+    cell, table = seen
+    both = changed(table, moved_camera(cell), 13)
     (finding,) = found(cell, both)
     assert finding.reason.why is Why.CAMERA_MOVED
     assert finding.reason.values["first"] == "13"
     assert finding.reason.values["moved_rad"] == pytest.approx(np.radians(5.0), rel=0.1)
     # Pictures of fewer than four corners determine no pose.
-    assert set(finding.rows) <= set(np.flatnonzero(of_pictures(both) >= 13) + 1)
-    assert len(finding.rows) > 0.9 * np.sum(later)
+    later = np.flatnonzero(of_pictures(both) >= 13) + 1
+    assert set(finding.rows) <= set(later)
+    assert len(finding.rows) > 0.9 * len(later)
+
+
+def test_a_camera_that_was_refocused(seen: tuple[VirtualCell, Measurements]) -> None:
+    """The last three of twelve pictures; another place of the camera would explain them, too."""
+    cell, table = seen
+    (finding,) = found(cell, changed(table, refocused_camera(cell), 9, 12))
+    assert finding.reason.why is Why.CAMERA_REFOCUSED
+    assert finding.reason.values["first"] == "9"
+    assert finding.reason.values["share"] == pytest.approx(0.1, abs=0.04)
+
+
+@pytest.mark.parametrize(("last", "whys"), [(11, []), (12, [Why.CAMERA_MOVED])])
+def test_two_pictures_do_not_tell_that_the_camera_was_moved_and_three_do(
+    seen: tuple[VirtualCell, Measurements], last: int, whys: list[Why]
+) -> None:
+    cell, table = seen
+    findings = found(cell, changed(table, moved_camera(cell), 9, last))
+    assert [finding.reason.why for finding in findings] == whys
+    assert all(f.reason.values["named"] == ["9", "10", "11"] for f in findings)

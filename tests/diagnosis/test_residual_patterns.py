@@ -21,10 +21,12 @@ from calib.robot.ranges import random_joint_values
 from tests.judged import arm, judged, reasons, table_of
 
 
-def drift_in(make_scene, way: np.ndarray) -> dict[str, Any]:
-    """Values of the drift in the residuals of a fit to points that are displaced by ``way``, (90, 3)."""
+def drift_in(make_scene, way: np.ndarray, *frames: str) -> dict[str, Any]:
+    """Values of the drift in a fit to points that are displaced by ``way``, (90, 3), and seen in frames by turns."""
     scene, rng = arm(make_scene, 63), np.random.default_rng(3)
     m = table_of(scene, random_joint_values(scene.robot, 90, 3), rng, way)
+    if frames:
+        m = replace(m, groups=frames * (len(m) // len(frames)))
     result = calibrate(scene.robot, m, model="dh", validate=False)
     found = residual_patterns(result.fit.geometry, np.arange(90), np.zeros((90, 6)))
     return next(dict(reason.values) for reason in found if reason.why is Why.DRIFT)
@@ -36,6 +38,10 @@ def test_a_tracker_that_drifts(make_scene):
     assert found["p"] < 0.003
     np.testing.assert_allclose(found["drift_xyz"], [4e-4, -3e-4, 2e-4], atol=4e-5)
     assert found["drift_m"] == pytest.approx(np.linalg.norm(found["drift_xyz"]))
+    # The axes of two frames may be turned towards each other: no one way is that of both.
+    of_two = drift_in(make_scene, way, "left", "right")
+    assert of_two["p"] < 0.003
+    assert not {"drift_xyz", "drift_m"} & set(of_two)
 
 
 def test_joints_that_had_not_arrived(make_scene):

@@ -17,7 +17,8 @@ from calib.diagnosis.stations import (
     unpredicted,
 )
 from calib.result.calibrate import calibrate
-from tests.judged import reasons
+from calib.robot.ranges import random_joint_values
+from tests.judged import arm, fit_to, reasons, table_of
 
 
 def test_a_station_that_the_others_do_not_predict(calibrated):
@@ -49,6 +50,19 @@ def test_of_two_stations_either_is_compared_with_the_other(calibrated):
     alone = table.select(np.array(m.groups) == "1")
     one = calibrate(scene.robot, alone, cell=Cell(estimate_frame=True), model="dh", validate=False)
     assert disagreeing_stations(one.fit.geometry) == ()
+
+
+def test_errors_that_the_other_stations_cannot_know_are_expected(make_scene):
+    """A joint moved before one instrument only; a slip of another joint shows all the same."""
+    scene = arm(make_scene, 63)
+    q = random_joint_values(scene.robot, 80, 3)
+    q[:40, 3] = 0.4
+    m = table_of(scene, q, np.random.default_rng(3))
+    m = replace(m, groups=("first",) * 40 + ("second",) * 40)
+    assert disagreeing_stations(fit_to(scene, m)) == ()
+    slipped = m.joints + 5e-4 * np.outer(np.arange(80) >= 40, np.arange(6) == 1)
+    found = disagreeing_stations(fit_to(scene, replace(m, joints=slipped)))
+    assert {reason.why for reason in found} == {Why.SETUP_UNPREDICTED}
 
 
 @pytest.mark.parametrize(

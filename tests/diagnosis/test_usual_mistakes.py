@@ -150,12 +150,21 @@ def test_positions_that_are_all_one_are_refused_before_any_fit(ur3: Robot, thirt
     check_positions(ur3, rows, "")
 
 
-@pytest.mark.slow
-def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, thirty: Measurements):
+def test_points_in_the_frame_of_another_link_are_told_where_no_frame_is_given(
+    thirty: Measurements,
+):
     world = Robot.load(paper_urdf(), tip="tool0")
     base = find_usual_mistake(world, Cell(), thirty)
     assert (base.why, base.values["link"]) == (Why.OTHER_BASE, "base")
     assert base.values["given_m"] == pytest.approx(0.529, abs=1e-3)
+    # That link is turned by half a turn: of a given frame, the first joint's zero explains it.
+    given = find_usual_mistake(world, Cell(T_frame_base=read_only(np.eye(4))), thirty)
+    assert (given.why, given.values["joint"]) == (Why.JOINT_ZERO, PAN)
+    assert "others" not in given.values
+
+
+@pytest.mark.slow
+def test_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, thirty: Measurements):
     assert find_usual_mistake(ur3, Cell(), seen_elsewhere(thirty)).why == Why.OWN_FRAME
     for mistake in (
         {"p": [1, 0, 2]},
@@ -167,6 +176,7 @@ def test_a_wrong_base_a_trackers_frame_and_a_target_that_is_fixed(ur3: Robot, th
         )
     fixed = replace(WRONG, estimate_target=False)
     assert find_usual_mistake(ur3, fixed, thirty).why == Why.TARGET_ELSEWHERE
+    world = Robot.load(paper_urdf(), tip="tool0")
     judged = calibrate(world, thirty.select(np.arange(30) < 14), model="zeros").verdict
     assert (judged.use, judged.reasons[0].values["link"]) == ("do not use", "base")
 
