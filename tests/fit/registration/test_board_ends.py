@@ -71,6 +71,16 @@ def test_all_cameras_have_one_end() -> None:
     assert len(set(numbers.values())) == 1
 
 
+def test_corners_that_are_numbered_otherwise_stay(seen: tuple[Robot, Measurements]) -> None:
+    """Corners counted from one are not those of the board: the last number alone shows it."""
+    robot, table = seen
+    mixed = scrambled(table, {table.images[0]})
+    from_one = replace(mixed, corners=tuple(str(int(name) + 1) for name in mixed.corners))
+    cell = Cell(cameras={"": STATED}, boards={"": ALIKE})
+    assert numbered_from_one_end(robot, mixed, cell) is not mixed
+    assert numbered_from_one_end(robot, from_one, cell) is from_one
+
+
 def test_other_boards_stay(seen: tuple[Robot, Measurements]) -> None:
     """A board that does not look the same turned has its corners as they were found."""
     robot, table = seen
