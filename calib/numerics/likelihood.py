@@ -210,13 +210,13 @@ def pseudo_inverse(M: Array) -> Array:
     if not len(M):  # LAPACK refuses it
         return M
     root, failed = dpotrf(M, lower=1, clean=1)
-    if not failed and root.diagonal().min(initial=1.0) > _SINGULAR:
+    if not failed and root.diagonal().min() > _SINGULAR:
         inverse, _ = dtrtri(root, lower=1)
         return np.asarray(inverse.T @ inverse)
     # Divide and conquer does not converge for some matrices.
     values, vectors = eigh(M, driver="ev")
     size = np.abs(values)
-    kept = size > _ZERO_EIGENVALUE * np.max(size, initial=0.0)
+    kept = size > _ZERO_EIGENVALUE * np.max(size)
     scaled = vectors[:, kept] / values[kept]
     return np.asarray(scaled @ vectors[:, kept].T)
 

@@ -57,6 +57,20 @@ def test_x_points_as_that_of_the_reference():
     assert row_to(T, point, axis, turned, PURE).a == pytest.approx(-0.5)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("rounding", [0.0, 1e-10, -1e-10])
+def test_a_normal_across_x_points_to_the_next_axis(side, rounding):
+    """From an axis along z to one at 45 deg above x, which y is square to, on either side."""
+    T = screw(2, rounding, 0.0)
+    numbers = row_to(T, np.array([0.0, 0.3 * side, 0.2]), unit(1.0, 0.0, 1.0), None, PURE)
+    expected = (side * np.pi / 2, 0.2, 0.3, side * np.pi / 4, 0.0)
+    np.testing.assert_allclose(numbers, expected, atol=1e-9)
+    # Of axes that meet it points along z x axis.
+    numbers = row_to(T, np.array([0.0, 0.0, 0.2]), unit(side, 0.0, 1.0), None, PURE)
+    expected = (side * np.pi / 2, 0.2, 0.0, np.pi / 4, 0.0)
+    np.testing.assert_allclose(numbers, expected, atol=1e-9)
+
+
 @pytest.mark.parametrize("tilt", [0.0, 1e-3, -2e-2])
 def test_a_tilted_row_to_a_nearly_parallel_axis_has_no_d(tilt):
     T = frame(7)

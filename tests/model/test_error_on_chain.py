@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from calib.basics.arrays import Array
+from calib.data.cell_chains import robot_of_cell
 from calib.errors import ModelError
 from calib.model.error_on_chain import model_on_chain
 from calib.model.kinematics import Kinematics, Samples
@@ -14,6 +15,7 @@ from calib.model.parameter_sets import error_model
 from calib.robot.gravity import gravity_loads
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
+from tests.two_handed import CELL
 
 #: Base and tip of chains of a robot with two arms and a head: two down, one up and down, one from hand to hand, one
 #: that ends in the middle of an arm.
@@ -92,6 +94,26 @@ def test_the_corrected_urdf_has_the_same_poses_on_every_chain(robot: Robot, samp
         pin.framesForwardKinematics(read, data, configuration)
         base, tip = (data.oMf[read.getFrameId(link)] for link in ENDS[chain])
         assert np.allclose((base.inverse() * tip).homogeneous, pose, rtol=0.0, atol=1e-12)
+
+
+def test_the_corrected_urdf_has_a_further_robot_where_it_stands():
+    """Its mount displaced by 5 mm and 5 mrad, or as it was if it stands as stated."""
+    robot = robot_of_cell(read_urdf("panda"), CELL)
+    model = error_model(robot, "placement", target=False)
+    kinematics = Kinematics(robot, model, np.eye(4), np.eye(4))
+    x = errors_of(kinematics)
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-0.8, 0.8, (6, len(robot.joint_names)))
+    first = np.zeros(6, dtype=np.int_)
+    samples = Samples(q, first, first, chain=np.arange(6) % 2)
+    expected = kinematics.poses(x, samples)
+    corrected = model.apply(robot, x)
+    assert np.allclose(corrected.poses(q, samples.chain), expected, rtol=0.0, atol=1e-13)
+    of_mount = np.array([parameter.place == "right/mount" for parameter in model.parameters])
+    assert np.sum(of_mount) == 6
+    of_arms = model.apply(robot, np.where(of_mount, 0.0, x))
+    stated = robot.urdf.joint("right/mount").T_parent_joint
+    np.testing.assert_array_equal(of_arms.urdf.joint("right/mount").T_parent_joint, stated)
 
 
 def test_a_chain_by_itself_and_among_others_is_the_same(robot: Robot, samples: Samples):

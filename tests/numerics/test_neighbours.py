@@ -42,6 +42,19 @@ def test_what_has_no_weight_does_not_count():
     assert independent_share([(outliers, weights)]) == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.parametrize(("pairs", "share"), [(15, 1.0), (17, 1.0 / 3.0)])
+def test_a_correlation_is_certain_by_the_neighbours_that_were_measured(pairs, share):
+    """Errors of every tenth row, which take turns, and of a few rows next to them, which are alike.
+
+    Sixteen neighbours would tell a correlation of 1 by four standard deviations; tau is 1 + 2.
+    """
+    errors = np.repeat(np.tile([1.0, -1.0], 50), 10)[:, None]
+    weights = np.zeros(errors.shape)
+    weights[::10] = 1.0
+    weights[1 : 10 * pairs : 10] = 1.0
+    assert independent_share([(errors, weights)]) == pytest.approx(share, rel=1e-9)
+
+
 def test_a_moving_arm_follows_a_path_and_drawn_poses_do_not():
     rng = np.random.default_rng(0)
     time = np.arange(MANY_ROWS + 1)[:, None] / 100.0

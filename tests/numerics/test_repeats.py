@@ -144,9 +144,9 @@ def test_lengths_and_angles_count_alike_towards_the_correlation():
     e, poses = measured(rng, [3] * 8, columns=2)
     e *= [1e-3, 20.0]
     weights = rng.uniform(0.2, 1.0, len(e))
-    nothing = np.zeros((len(e), 2))
+    nothing = np.full((len(e), 2), np.nan)
     both = np.column_stack([e[:, 0], nothing, e[:, 1], nothing])
-    found = scatter_of_repeats(both, lengths_and_angles(both != 0.0), poses, weights)
+    found = scatter_of_repeats(both, lengths_and_angles(np.isfinite(both)), poses, weights)
     alike = e / np.sqrt(np.average(e**2, axis=0, weights=weights))
     expected = scatter_of_repeats(alike, lengths_and_angles(alike != 0.0), poses, weights)
     assert found.rho == pytest.approx(expected.rho)

@@ -12,6 +12,7 @@ from calib.numerics.solvers import (
     levenberg_marquardt,
     paper_levenberg_marquardt,
     scipy_least_squares,
+    upper_root,
 )
 
 
@@ -63,6 +64,30 @@ def test_damping_falls_with_the_gain_and_rises_faster_with_each_failure():
     # Each of the rules is met.
     assert {0.1, 2.0, 4.0, 8.0} < set(factors)
     assert min(gain for gain in gains if gain > 0.0) < 0.5
+
+
+@pytest.mark.parametrize("longest", [np.inf, 0.5])
+@pytest.mark.parametrize("start", [[-1.2, 1.0], [-3.0, 2.0], [-1.9, 2.0]])
+def test_each_step_is_the_one_with_the_stated_damping(start, longest):
+    """It solves (J^T J + mu D^2) dx = -J^T r, with the largest column norms of J so far in D."""
+    trials, step_size = [], np.array([1.0, 0.5])
+
+    def recorded(x):
+        trials.append(x)
+        return rosenbrock(x)
+
+    found = levenberg_marquardt(recorded, np.array(start), step_size, longest_step=longest)
+    x, largest = trials[0], np.zeros(2)
+    for entry, trial in zip(found.history, trials[1:], strict=True):
+        r, J = rosenbrock(x)
+        largest = np.maximum(largest, np.sum(J**2, axis=0))
+        dx = -np.linalg.solve(J.T @ J + entry.mu * np.diag(largest), J.T @ r)
+        np.testing.assert_allclose(trial - x, dx, rtol=1e-6, atol=1e-12)
+        assert entry.step == pytest.approx(np.linalg.norm(dx / step_size), rel=1e-6)
+        if entry.accepted:
+            x = trial
+    assert max(entry.mu for entry in found.history) > 1e-4
+    np.testing.assert_array_equal(found.x, x)
 
 
 def test_papers_damping_follows_the_gain():
@@ -198,3 +223,19 @@ def test_x_is_told_beyond_what_the_cost_tells():
     assert abs(rough.x[0] - 2.0) < 1e-5
     assert fine.history[-1].gain is None
     assert fine.status == "converged"
+
+
+@pytest.mark.parametrize("scale", [np.ones(2), np.array([1e-5, 1e4])])
+def test_nearly_singular_products_have_no_root(scale):
+    """The root's last entry is the sine of the angle between two columns."""
+
+    def products(sine):
+        cosine = np.sqrt(1.0 - sine**2)
+        return np.outer(scale, scale) * [[1.0, cosine], [cosine, 1.0]]
+
+    root = upper_root(products(2e-6))
+    assert root is not None
+    np.testing.assert_allclose(root / scale, [[1.0, 1.0], [0.0, 2e-6]], rtol=1e-4)
+    assert upper_root(products(5e-7)) is None
+    assert upper_root(products(0.0)) is None
+    assert upper_root(np.diag([1.0, 0.0])) is None

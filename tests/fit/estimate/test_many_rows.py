@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,23 @@ def test_some_of_the_rows_lead_to_the_same_fit(ur3, monkeypatch):
     np.testing.assert_allclose(by_some.estimate.weights, whole.estimate.weights, atol=0.05)
     assert by_some.estimate.noise == pytest.approx(whole.estimate.noise, rel=0.01)
     np.testing.assert_array_equal(by_some.estimate.outliers, whole.estimate.outliers)
+
+
+def test_rows_keep_the_weights_that_they_come_with(ur3, monkeypatch):
+    """However many they are."""
+    rng = np.random.default_rng(9)
+    q = rng.uniform(-2.8, 2.8, (400, 6))
+    table = Measurements(
+        ur3.joint_names, q, ur3.poses(q)[:, :3, 3] + rng.normal(0.0, 1e-4, (400, 3))
+    )
+    rows, setup = rows_and_setup(ur3, table, Cell())
+    weights = rng.uniform(0.1, 1.0, 400)
+    rows, task = replace(rows, weights=weights), Task(ur3, Cell(), setup, "dh")
+    monkeypatch.setattr(solving, "_MANY", 100)
+    found = fit(task, rows).estimate
+    np.testing.assert_array_equal(found.problem.weights, weights)
+    monkeypatch.undo()
+    np.testing.assert_array_equal(found.x, fit(task, rows).estimate.x)
 
 
 def test_threads_change_nothing(ur3, monkeypatch):

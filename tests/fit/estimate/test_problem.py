@@ -61,6 +61,17 @@ def scene_problem(scene, table, distances=()):
     return Problem.initial(kinematics, rows, distances)
 
 
+def test_without_stops_of_several_targets_nothing_is_shared(make_scene):
+    """Shares stay where a problem gets other rows, of which no stop may have several targets."""
+    scene = make_scene(6)
+    alone = scene_problem(scene, scene.points(8))
+    assert alone.stops is None
+    shared = replace(alone, stop_shares=np.full((1, 3), 0.3))
+    x = np.full(alone.size, 1e-4)
+    for found, expected in zip(shared.system(x), alone.system(x), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 def test_jacobian_of_a_mixed_system_with_known_distances_against_differences(make_scene, join):
     scene = make_scene(6, frames=3, targets=2, reach=1.0)
     table = join(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
 from calib.data.cell import Cell
 from calib.fit.estimate.fitting import fit
@@ -17,6 +18,7 @@ from calib.fit.estimate.task import Task
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.kinematics import Samples
 from calib.numerics.likelihood import GaussianPriors
+from calib.robot.kernel import BLOCK
 from tests.fit.estimate.priors_of import prior_terms
 from tests.fits import table_of_missed_stops
 
@@ -128,6 +130,28 @@ def test_outliers_lose_their_weight_where_it_is_asked_for_and_freedom_is_left(
         assert np.all(np.delete(stage.weights[0], 3) > 0.3)
     else:
         np.testing.assert_array_equal(stage.weights, 1.0)
+
+
+def test_a_path_settles_at_the_share_that_its_correlation_leaves(virtual):
+    """Correlated by 0.9 from row to row: one of 19 rows counts; twelve rounds are the most."""
+    count, phi = 2 * BLOCK, 0.9
+    rows = virtual.rows(np.random.default_rng(4), np.zeros(27), count, 0.0)
+    white = np.random.default_rng(5).normal(0.0, 1e-4, (count, 3))
+    errors = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], white, axis=0)
+    problem = Problem.initial(virtual.kinematics, replace(rows, measured=rows.measured + errors))
+    linear = problem.linear(np.zeros(27))
+    prior = prior_terms(virtual, virtual.kinematics.model)
+    stages = [Stage.initial(prior, np.ones((1, count), dtype=bool), 1)]
+
+    def linear_at(stage):
+        stages.append(stage)
+        return linear
+
+    weighting = Weighting("independent", False, 1.0, along_path=True)
+    stage, _ = run_stages(stages[0], linear_at, np.arange(count), weighting)
+    assert stage.row_share[0, 0] == pytest.approx(1.0 / 19.0, rel=0.25)
+    np.testing.assert_array_equal(stage.effective, stage.row_share[0, 0])
+    assert len(stages) < 8
 
 
 def test_rows_keep_their_weight_where_most_of_them_would_lose_it(virtual):

@@ -19,16 +19,21 @@ from tests.pictures import STATED, of_pictures, pictures_of, two_cameras
 ALIKE = Board(pattern="chessboard", columns=8, rows=6, square=0.025)
 
 
+#: A square of odd squares: after a quarter, too.
+SQUARE = Board(pattern="chessboard", columns=7, rows=7, square=0.025)
+
+
 def scrambled(table: Measurements, pictures: set[str]) -> Measurements:
     """Return a table in which the corners of some pictures are numbered from the other end."""
-    count = len(ALIKE.corners)
-    turned = np.isin(table.images, list(pictures))
-    corners = [
-        str(count - 1 - int(name)) if is_turned else name
-        for name, is_turned in zip(table.corners, turned.tolist(), strict=True)
-    ]
-    points = ALIKE.corners[[int(name) for name in corners]]
-    return replace(table, corners=tuple(corners), board_points=read_only(points))
+    return turned(table, ALIKE, dict.fromkeys(pictures, 1))
+
+
+def turned(table: Measurements, board: Board, turns: dict[str, int]) -> Measurements:
+    """Return a table with the corners of pictures in other orders that look the same, by the orders' numbers."""
+    orders = [board.orders_alike[turns.get(image, 0)] for image in table.images]
+    corners = [int(order[int(name)]) for order, name in zip(orders, table.corners, strict=True)]
+    points = read_only(board.corners[corners])
+    return replace(table, corners=tuple(map(str, corners)), board_points=points)
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +47,10 @@ def test_pictures_from_the_other_end_are_renumbered(seen: tuple[Robot, Measureme
     """Those of a minority are turned back, and no others."""
     robot, table = seen
     names = list(dict.fromkeys(table.images))
-    turned = {names[1], names[4], names[5], names[9]}
+    pictures = {names[1], names[4], names[5], names[9]}
     cell = Cell(cameras={"": STATED}, boards={"": ALIKE})
-    result = numbered_from_one_end(robot, scrambled(table, turned), cell)
-    assert set(result.other_end) == turned
+    result = numbered_from_one_end(robot, scrambled(table, pictures), cell)
+    assert set(result.other_end) == pictures
     assert result.corners == table.corners
     np.testing.assert_allclose(result.board_points, table.board_points, atol=1e-12)
 
@@ -59,6 +64,24 @@ def test_most_pictures_keep_their_end(seen: tuple[Robot, Measurements]) -> None:
     assert set(result.other_end) == set(names[:3])
 
 
+def test_a_board_at_a_known_place_in_the_hand_has_its_own_end() -> None:
+    """A square one, of which most pictures are turned: by a half, or by a quarter to either side."""
+    virtual, table = pictures_of(SQUARE, seed=3, count=7)
+    T_tip_target = virtual.truth.T_tip_target[0]
+    cell = Cell(
+        cameras={"": STATED},
+        boards={"": SQUARE},
+        target=T_tip_target[:3, 3],
+        target_rotation=T_tip_target[:3, :3],
+    )
+    turns = {name: k % 4 for k, name in enumerate(dict.fromkeys(table.images))}
+    mixed = turned(table, SQUARE, turns)
+    result = numbered_from_one_end(virtual.truth.nominal, mixed, cell)
+    assert set(result.other_end) == {name for name, turn in turns.items() if turn}
+    assert result.corners == table.corners
+    np.testing.assert_allclose(result.board_points, table.board_points, atol=1e-12)
+
+
 @pytest.mark.slow
 def test_all_cameras_have_one_end() -> None:
     """A camera all of whose pictures are turned is brought to the end of the other one."""
@@ -69,6 +92,16 @@ def test_all_cameras_have_one_end() -> None:
     result = numbered_from_one_end(cell.truth.nominal, scrambled(table, mixed), known)
     numbers = {name: result.corners[i] == table.corners[i] for i, name in enumerate(table.images)}
     assert len(set(numbers.values())) == 1
+
+
+def test_corners_that_are_numbered_otherwise_stay(seen: tuple[Robot, Measurements]) -> None:
+    """Corners counted from one are not those of the board: the last number alone shows it."""
+    robot, table = seen
+    mixed = scrambled(table, {table.images[0]})
+    from_one = replace(mixed, corners=tuple(str(int(name) + 1) for name in mixed.corners))
+    cell = Cell(cameras={"": STATED}, boards={"": ALIKE})
+    assert numbered_from_one_end(robot, mixed, cell) is not mixed
+    assert numbered_from_one_end(robot, from_one, cell) is from_one
 
 
 def test_other_boards_stay(seen: tuple[Robot, Measurements]) -> None:

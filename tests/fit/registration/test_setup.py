@@ -9,12 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.data.cell import Cell, GroupDistance
+from calib.errors import ModelError
 from calib.fit.registration.labels import joined_stations
 from calib.fit.registration.setup import KnownDistance, Setup, known_distances
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameter_sets import frame_and_target_model
+from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
 from tests.fit.registration.tables import as_kind
 
 
@@ -143,6 +146,23 @@ def test_directions_are_turned_of_parameters_that_follow_others_too():
     assert turned.parameters == tied.parameters
     (height,) = [term for term in turned.terms if term.name == "frame_z[plane]"]
     np.testing.assert_allclose(height.direction[:3], TURNS[1].as_matrix().T[:, 2], atol=1e-12)
+
+
+def test_each_row_is_seen_through_the_chain_between_its_links():
+    """Frames and targets of which no link is stated are on the robot's base and tip."""
+    base, elbow, wrist, tip = "panda_link0", "panda_link3", "panda_link5", "panda_link8"
+    urdf = read_urdf("panda")
+    robot = Robot.from_urdf(urdf, base, tip, branches=[(elbow, tip), (base, wrist)])
+    frame, target = np.array([0, 1, 1, 0]), np.array([0, 1, 0, 0])
+    setup = two_frames_and_targets(frame_links=(elbow, base), target_links=(tip, wrist))
+    np.testing.assert_array_equal(setup.chains(robot, frame, target), [1, 2, 0, 1])
+    with pytest.raises(ModelError):
+        setup.chains(robot, np.array([0]), np.array([1]))
+    of_targets = replace(setup, frame_links=())
+    np.testing.assert_array_equal(of_targets.chains(robot, frame, target), [0, 2, 0, 0])
+    of_frames = replace(setup, target_links=())
+    np.testing.assert_array_equal(of_frames.chains(robot, frame, target), [1, 0, 0, 1])
+    assert setup.chains(Robot.from_urdf(urdf, base, tip), frame, target) is None
 
 
 def named(table, names):

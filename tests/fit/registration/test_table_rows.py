@@ -176,6 +176,15 @@ def test_repeats_are_of_one_pose_target_frame_and_kind(ur3):
     np.testing.assert_array_equal(rows.blocks, [0] * 6 + [1])
 
 
+def test_two_targets_at_one_pose_are_no_repeats(ur3):
+    """Of rows of which no other two are of one pose."""
+    q = np.array([0.0, 0.0, 0.5])[:, None] * np.ones(6)
+    table = Measurements(ur3.joint_names, q, np.zeros((3, 3)), targets=("a", "b", "a"))
+    rows, _ = rows_and_setup(ur3, table, Cell())
+    assert len(set(rows.poses)) == 3
+    np.testing.assert_array_equal(rows.blocks, [0, 0, 1])
+
+
 def test_repeats_of_a_pair_repeat_both_its_rows(ur3):
     """Poses 0 to 1, again 0 to 1, and 0 to 2."""
     q = np.array([0.0, 0.5, 0.0, 0.5, 0.0, 1.0])[:, None] * np.ones(6)
