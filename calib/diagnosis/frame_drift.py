@@ -72,7 +72,7 @@ _NOT_STILL = 0.01
 
 
 class Mover(Enum):
-    """What a change of the readings is of."""
+    """The thing whose movement changed the readings."""
 
     #: The instrument or the base: the references do not tell which
     FRAME = "frame"
@@ -137,7 +137,7 @@ class StillTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameDrift(Value):
-    """What the references of a table show."""
+    """Movements and noise that the references of a table show."""
 
     #: The references
     targets: tuple[StillTarget, ...]
@@ -153,7 +153,7 @@ class FrameDrift(Value):
 
     @property
     def corrected(self) -> tuple[Movement, ...]:
-        """What was taken out of the measured poses."""
+        """The movements that were taken out of the measured poses."""
         return tuple(movement for movement in self.found if movement.corrected)
 
 
@@ -434,7 +434,7 @@ class _Station:
 
     @property
     def frame_movers(self) -> tuple[str, ...]:
-        """What of the frame may move and can be told apart."""
+        """The parts of the frame that may move and can be told apart."""
         here = {self.links[name] for name in self.names if name in self.links}
         if here == {WORLD, BASE}:
             return (_INSTRUMENT, _OF_BASE)
@@ -442,7 +442,7 @@ class _Station:
 
     @property
     def shows_rotations(self) -> bool:
-        """Whether three of its references, each read twice, are not on one line."""
+        """True if three of its references, each read twice, are not on one line."""
         counts = np.bincount(self.target_of, minlength=len(self.names))
         points = self.references.points[self.is_read]
         means = np.array(

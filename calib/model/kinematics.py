@@ -80,7 +80,7 @@ class Samples(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings(Value):
-    """What the readings of N rows are predicted from: the target as its instrument has it before it."""
+    """The basis of predicted readings of N rows: the target as its instrument has it before it."""
 
     #: Shape (N, 4, 4), pose of each row's target in its measurement frame [m].
     T_frame_target: Array

@@ -165,7 +165,7 @@ class CrossValidation:
 
     @property
     def holds_out_stations(self) -> bool:
-        """Whether each fold is of whole stations, which are predicted but for their own frames."""
+        """True if each fold is of whole stations, which are predicted but for their own frames."""
         return "station" in self.method
 
     def without_rows(self) -> CrossValidation:

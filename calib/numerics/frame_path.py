@@ -48,7 +48,7 @@ INTERVAL = 0.95
 
 
 class Form(str, Enum):
-    """What a change is, as a function of the place."""
+    """Form of a change, as a function of the place."""
 
     #: Even, from the first row to the last
     DRIFT = "drift"
@@ -74,7 +74,7 @@ class Change:
 
     @property
     def kind(self) -> tuple[Form, str, bool]:
-        """What two changes have in common that differ in the place alone."""
+        """The key that changes share if they differ in the place alone."""
         return self.form, self.mover, self.rigid
 
     @property
@@ -132,7 +132,7 @@ class Evidence:
 
     @property
     def remaining(self) -> Array:
-        """What of the scalars no regressor explains, shape (M,)."""
+        """The part of the scalars that no regressor explains, shape (M,)."""
         return np.asarray(self.residual - self.base @ (self.base.T @ self.residual))
 
     @property
@@ -280,7 +280,7 @@ def _new_directions(base: Array, Z: Array) -> tuple[Array, Array]:
 
 
 class _Effect(NamedTuple):
-    """What a change explains of one source."""
+    """Fit of a change to the scalars of one source."""
 
     #: Its columns beyond the regressors, shape (M, c)
     columns: Array

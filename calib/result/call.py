@@ -17,7 +17,7 @@ from calib.robot.xacro_file import XacroCall, is_xacro
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Call(Value):
-    """What a calibration was told: inputs by their names, how they were read, the cell, and the method."""
+    """The input of a calibration: data by their names, how they were read, the cell, and the method."""
 
     #: The robot as named, with a xacro's arguments; empty: it was given in memory, and the result's nominal robot is it
     robot: str = ""

@@ -96,7 +96,7 @@ class Distribution(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contribution(Value):
-    """What one source adds to the uncertainty at each of N poses."""
+    """Share of one source in the uncertainty at each of N poses."""
 
     source: Source
     #: Shape (N, 6, 6), covariance of displacement [m] and rotation [rad]

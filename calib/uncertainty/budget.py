@@ -47,7 +47,7 @@ class BudgetLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Budget(Value):
-    """What the uncertainty over N poses is made of."""
+    """The uncertainty over N poses, by source."""
 
     #: The sources that add something, the largest share first
     lines: tuple[BudgetLine, ...]
@@ -167,7 +167,7 @@ def _rows_factor(uncertainty: PoseUncertainty) -> float:
     whole = rms(uncertainty.position)
 
     def excess(logarithm: float) -> float:
-        """What is left over half of it, with so many times as many rows."""
+        """The excess over half of it, with so many times as many rows."""
         left = uncertainty.without(*BY_ROWS, share=float(np.exp(-logarithm)))
         return rms(left.position) - _HALF * whole
 

@@ -158,12 +158,12 @@ class FreshRows(Value):
 
     @property
     def within(self) -> bool:
-        """Whether it is within the 90 % interval."""
+        """True if it is within the 90 % interval."""
         return bool(abs(self.probability - 0.5) <= LEVEL / 2.0)
 
     @property
     def above(self) -> bool:
-        """Whether it is above the interval."""
+        """True if it is above the interval."""
         return self.probability > 0.5 + LEVEL / 2.0
 
 

@@ -52,7 +52,7 @@ _NO_OPTIONS = ("robot", "table", "points", "files", "plugins", "workers", "cell"
 
 
 class What(enum.Enum):
-    """What is not as it was."""
+    """A difference from the first run."""
 
     INPUT = enum.auto()
     PLUGIN = enum.auto()

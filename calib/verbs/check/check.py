@@ -100,7 +100,7 @@ class Noticed(Value):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CheckResult(Value):
-    """What a few fresh rows say about a stored result."""
+    """The answer of a few fresh rows about a stored result."""
 
     #: The stored result
     result: Calibration
@@ -175,7 +175,7 @@ class CheckResult(Value):
 
     @property
     def matters(self) -> bool | None:
-        """Whether the likeliest cause changes positions by more than the tolerance, or the expected error without one.
+        """True if the likeliest cause changes positions by more than the tolerance, or the expected error without one.
 
         None: nothing has moved, or its effect is not known.
         """

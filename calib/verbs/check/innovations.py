@@ -42,7 +42,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stop(Value):
-    """What is measured of one target from one frame at one pose: k numbers, in standard deviations of their noise."""
+    """The measurement of one target from one frame at one pose: k numbers, in standard deviations of their noise."""
 
     #: Numbers of its rows in the table
     rows: tuple[int, ...]

@@ -80,7 +80,7 @@ class CheckPoses(Value):
 
     @property
     def needed(self) -> int | None:
-        """How many further poses decide with 90 %; None: more than there are."""
+        """Number of further poses that decide with 90 %; None: more than there are."""
         for count, probability in enumerate(self.probabilities, start=1):
             if probability >= _ENOUGH:
                 return count
@@ -141,7 +141,7 @@ class _Sheet:
 
     @property
     def expected(self) -> Array:
-        """Where the calibrated robot predicts it."""
+        """The place where the calibrated robot predicts it."""
         return self.sensitivity.expected(self.joints)
 
     @property

@@ -61,7 +61,7 @@ _NUMBER = re.compile(r"\d+")
 
 
 class Sheet(Protocol):
-    """What is written of poses in a table: of a `Plan`, or of other poses to measure, see there."""
+    """Poses as they are written to a table: those of a `Plan`, or others to measure."""
 
     @property
     def robot(self) -> Robot:
@@ -97,11 +97,11 @@ class Sheet(Protocol):
 
     @property
     def seen(self) -> Mask:
-        """Which of them are measured, (K, k)."""
+        """True where one of them is measured, (K, k)."""
 
     @property
     def views(self) -> tuple[View, ...]:
-        """What the instruments measure at a pose."""
+        """The measurements of the instruments at a pose."""
 
     @property
     def sightlines(self) -> tuple[Sightline, ...]:

@@ -72,7 +72,7 @@ def _takes_images(cell: Cell) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View(Value):
-    """What one instrument measures at a pose: the targets on one link, seen through one chain."""
+    """The measurement of one instrument at a pose: the targets on one link, seen through one chain."""
 
     #: The instrument.
     instrument: Instrument
