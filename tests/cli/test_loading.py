@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,6 @@ from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.example import paper_urdf
 from calib.model.parameter_sets import DIRECTIONS
-from calib.result.calibration_file import read_result
-from calib.result.chain_of_result import with_chain_of_result
 from calib.robot.robot import Robot
 
 CELL = """
@@ -69,33 +66,10 @@ def test_data_in_the_place_of_the_robot_are_refused(shop: Path):
         load_with_data("robot.urdf", Cell(), shop / "data.csv", TableOptions(points_unit="mm"))
 
 
-def test_the_chain_of_a_result_is_that_of_the_cell(examples):
-    result = read_result(examples.folder / "result.json")
-    cell = with_chain_of_result(Cell(held={"lift": 0.1}), result, "result.json")
-    assert (cell.base, cell.tip) == (result.nominal.base, result.nominal.tip)
-    assert cell.held == {**result.nominal.held, "lift": 0.1}
-    for wrong in (Cell(base="elsewhere"), Cell(tip="elsewhere")):
-        with pytest.raises(CalibError, match="elsewhere"):
-            with_chain_of_result(wrong, result, "result.json")
-
-
-def test_the_coupled_readings_of_a_result_are_those_of_the_cell(examples):
-    result = read_result(examples.folder / "result.json")
-    nominal = result.nominal
+def test_the_robot_has_the_coupled_readings_of_the_cell():
     coupling = {"elbow_joint": {"shoulder_lift_joint": 1.0}}
-    robot = Robot.from_urdf(nominal.urdf, nominal.base, nominal.tip, coupling=coupling)
-    coupled = replace(result, nominal=robot)
-    assert with_chain_of_result(Cell(), coupled, "r.json").coupling == coupling
-    assert with_chain_of_result(Cell(coupling=coupling), coupled, "r.json").coupling == coupling
-    assert with_chain_of_result(Cell(), result, "r.json").coupling == {}
-    with pytest.raises(CalibError, match="coupled readings of no joint, but the cell file couples"):
-        with_chain_of_result(Cell(coupling=coupling), result, "r.json")
-    other = Cell(coupling={"elbow_joint": {"shoulder_lift_joint": -1.0}})
-    with pytest.raises(CalibError, match=r"Leave out \[coupling\]"):
-        with_chain_of_result(other, coupled, "r.json")
-    assert (
-        load("ur3", Cell(base="base", tip="tool0", coupling=coupling)).reading_coupling == coupling
-    )
+    cell = Cell(base="base", tip="tool0", coupling=coupling)
+    assert load("ur3", cell).reading_coupling == coupling
 
 
 def test_the_target_of_a_urdf_is_at_its_link(tmp_path: Path):

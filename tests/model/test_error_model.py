@@ -9,7 +9,7 @@ from calib.errors import ModelError
 from calib.example import paper_urdf
 from calib.model.error_model import FRAME, TARGET, TIP, ErrorModel, Parameter
 from calib.model.families import ANGLE, LENGTH, Factor
-from calib.model.parameter_sets import error_model
+from calib.model.parameter_sets import DIRECTIONS, error_model
 from calib.robot.robot import Robot
 
 COMPLIANCE, ECCENTRICITY, GAIN = "compliance", "eccentricity", "gain"
@@ -40,6 +40,43 @@ def four() -> ErrorModel:
 def test_an_unknown_parameter_lists_those_there_are(four):
     with pytest.raises(ModelError, match=r"'four' has no parameter 'e'; it has 'a', 'b', 'c', 'd'"):
         four.index("e")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ((some("a"), some("b"), some("a", k=1)), "parameters 'a' twice"),
+        ((some("a"), some("b", place="j3")), "at unknown places 'j3'"),
+    ],
+    ids=["a name twice", "an unknown place"],
+)
+def test_parameters_have_names_of_their_own_and_places_of_the_model(parameters, message):
+    with pytest.raises(ModelError, match=message):
+        ErrorModel("wrong", PLACES, parameters)
+
+
+def test_errors_of_frames_and_targets_are_not_the_robots(ur3):
+    model = error_model(ur3, "zeros", frame=True)
+    named = dict(zip(model.names, model.of_robot, strict=True))
+    assert {name for name, is_robots in named.items() if not is_robots} == {
+        *(f"frame_{direction}" for direction in DIRECTIONS),
+        *(f"target_{direction}" for direction in "xyz"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "moves", "loads"),
+    [
+        ("dh", False, False),
+        ("dh+gain", False, False),
+        ("dh+lost_motion", True, False),
+        ("dh+creep", True, False),
+        ("dh+compliance", False, True),
+    ],
+)
+def test_a_model_says_if_it_needs_moves_or_loads(ur3, name, moves, loads):
+    model = error_model(ur3, name)
+    assert (model.depends_on_moves, model.depends_on_loads) == (moves, loads)
 
 
 # Ties

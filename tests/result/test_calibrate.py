@@ -135,6 +135,25 @@ def test_the_papers_algorithm_does_better_than_the_paper_says(by_the_paper):
     assert by_the_paper.method.solution.history[0].mu == 0.01
 
 
+def test_weights_are_compared_where_a_solver_that_has_them_flags_rows(
+    ur3, table, paper_cell, default_result
+):
+    flagged = [outlier.row for outlier in default_result.rows.outliers]
+    found = default_result.trust.robustness
+    assert flagged
+    assert found.lowered
+    assert 0.0 < found.moved_rms < found.moved_max
+
+    clean = table.select(~np.isin(table.rows, flagged))
+    points = table.points.copy()
+    points[5] += 0.01
+    off = replace(table, points=points)
+    for rows, solver, numbers in ((clean, "lm", []), (off, "paper", [table.rows[5]])):
+        c = calibrate(ur3, rows, cell=paper_cell, solver=solver, validate=False)
+        assert [outlier.row for outlier in c.rows.outliers] == numbers
+        assert c.trust.robustness is None
+
+
 def test_default_on_validation_rows(default_result):
     _, mean, rms = millimetres(default_result.errors["calibrated"]["validation"])
     assert rms <= 0.25

@@ -61,10 +61,11 @@ def drawn(robot: Robot, rng: np.random.Generator) -> Robot:
 def table_of(
     robot: Robot, true: Robot, base: str, tips: dict[str, str], sigma: float
 ) -> Measurements:
-    """Points on both hands in a tracker's frame."""
+    """Points on hands in a tracker's frame."""
     rng = np.random.default_rng(5)
     frame = pose_of(xyz=[1.0, 2.0, 0.3], rotation=pin.exp3(np.array([1.0, -0.7, 0.4])))
-    q = random_joint_values(robot, 2 * COUNT)
+    count = len(tips) * COUNT
+    q = random_joint_values(robot, count)
     points = []
     targets = []
     for k, (name, tip) in enumerate(tips.items()):
@@ -72,7 +73,7 @@ def table_of(
         T = frame @ poses_by_pinocchio(true.urdf, robot, of_hand, base, tip)
         points.append(T[:, :3, :3] @ OFFSETS[name] + T[:, :3, 3])
         targets += [name] * COUNT
-    noise = sigma * rng.standard_normal((2 * COUNT, 3))
+    noise = sigma * rng.standard_normal((count, 3))
     prismatic = tuple(joint.name for joint in robot.inputs if joint.type == "prismatic")
     return Measurements(
         robot.joint_names,
@@ -209,6 +210,23 @@ def test_each_hand_is_judged_by_its_rows_its_joints_and_its_own_target():
         assert few["parameters"] == joints_of[hand]
     first, second = result.trust.chains
     assert first.expected_of_nominal != second.expected_of_nominal
+
+
+def test_the_call_names_the_links_of_the_only_chain_of_a_robot():
+    """Of several it has the links of targets as the cell says, and no tip besides."""
+    tips = {"left": "left_hand", "right": "right_lower"}
+    several = Cell(tips=tips, model="zeros", estimate_frame=True)
+    single = replace(several, tips={})
+    tree = robot_of_cell(two_arms(), several)
+    arm = Robot.from_urdf(two_arms(), "base", "left_hand", held={"left_wrist": 0.0})
+    left = {"left": "left_hand"}
+    for robot, cell, hands, said in (
+        (tree, several, tips, (None, None, tips, {})),
+        (arm, single, left, ("base", "left_hand", {}, {"left_wrist": 0.0})),
+    ):
+        table = table_of(robot, robot, "base", hands, NOISE)
+        told = calibrate(robot, table, cell=cell, validate=False).method.call.cell
+        assert (told.base, told.tip, told.tips, told.held) == said
 
 
 def test_images_of_a_chain_count_as_poses():

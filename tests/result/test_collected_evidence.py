@@ -35,11 +35,18 @@ def test_one_wild_validation_row_is_set_aside():
     assert (found.whole["m"].n, found.whole["m"].max) == (6, pytest.approx(0.05 * np.sqrt(3)))
 
 
-def test_many_rows_that_do_not_fit_are_no_accidents():
-    validation = np.arange(10) >= 4
-    residual = np.full((10, 3), 1e-3)
-    found = compare_validation_errors(validation, np.arange(10) >= 7, residual, residual, ALL)
-    assert (found.before["m"].n, found.aside) == (6, 0)
+@pytest.mark.parametrize(
+    ("rows", "wild", "aside"),
+    [(1, 1, 0), (2, 1, 1), (6, 3, 0), (13, 2, 0), (14, 2, 2), (20, 3, 3), (20, 4, 0)],
+)
+def test_many_rows_that_do_not_fit_are_no_accidents(rows: int, wild: int, aside: int):
+    """One of several may be, or 15 % of the rows."""
+    validation = np.arange(4 + rows) >= 4
+    residual = np.full((4 + rows, 3), 1e-3)
+    suspects = np.arange(4 + rows) >= 4 + rows - wild
+    channels = Channels.of_unit(np.ones(residual.shape, dtype=bool))
+    found = compare_validation_errors(validation, suspects, residual, residual, channels)
+    assert (found.before["m"].n, found.aside) == (rows - aside, aside)
 
 
 @pytest.mark.parametrize(("name", "places"), [("points", 3), ("set-ups", 3 * 6 + 3), ("poses", 12)])

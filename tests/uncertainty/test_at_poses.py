@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.special import stdtrit
 
 from calib.data.cell import Cell, StatedUncertainty
 from calib.data.record import Record
@@ -286,6 +287,21 @@ def test_u_of_a_sum_of_ts_agrees_with_draws(freedoms):
         squares += draws**2
     expected = np.quantile(np.sqrt(squares), 0.9545)
     assert two_parts(freedoms).position == pytest.approx([expected], rel=0.03)
+
+
+def test_u_of_a_sum_of_ts_along_one_axis_is_that_of_a_t_with_its_variance_and_kurtosis():
+    """Three of 1 mm and six degrees of freedom: of ten, with 3.6 mm^2, as 3.6 * 10 / 8 = 3 * 6 / 4."""
+    covariance = np.zeros((1, 6, 6))
+    covariance[0, 0, 0] = 1e-6
+    sources = (Source.SCALE, Source.MODEL, Source.DRIFT)
+    parts = [Contribution(source, covariance, Distribution.STUDENT, 6.0) for source in sources]
+    uncertainty = PoseUncertainty(np.eye(4)[None], tuple(parts))
+    assert uncertainty.position_freedom == pytest.approx([10.0])
+    within = stdtrit(10.0, 0.5 + 0.5 * 0.9545)
+    assert uncertainty.position == pytest.approx([np.sqrt(3.6e-6) * within], rel=1e-3)
+    rng = np.random.default_rng(5)
+    sums = 1e-3 * np.sum(rng.standard_t(6.0, (3, 200_000)), axis=0)
+    assert uncertainty.position == pytest.approx([np.quantile(np.abs(sums), 0.9545)], rel=0.03)
 
 
 def test_parts_by_one_estimate_of_the_noise_have_its_degrees_of_freedom():

@@ -53,3 +53,5 @@ def test_a_difference_that_vanishes_by_chance_leaves_something():
 
 def test_many_degrees_of_freedom_leave_the_difference():
     assert variance_beyond(4.0, 1e4, 1.0)[0] == pytest.approx(3.0, rel=1e-3)
+    # So many that no spread is left but rounding.
+    assert variance_beyond(4.0, 1e18, 1.0) == (3.0, 1e18)

@@ -70,14 +70,30 @@ def test_each_statement_is_drawn_by_its_distribution(with_statements, points, na
         assert found.ratio == pytest.approx(1.0, abs=0.04)
 
 
-def test_without_uncertainty_nothing_is_drawn(tracked, points):
+def without_uncertainty(result):
+    """The result, as if its parameters were exact."""
     model = replace(
-        tracked.geometry,
-        covariance=np.zeros(tracked.covariance.shape),
+        result.geometry,
+        covariance=np.zeros(result.covariance.shape),
         scale=None,
         scatter=None,
         undetermined_families=None,
     )
-    exact = replace(tracked, geometry=model)
+    return replace(result, geometry=model)
+
+
+def test_without_uncertainty_nothing_is_drawn(tracked, points):
+    exact = without_uncertainty(tracked)
     found = monte_carlo(exact, exact.samples(points[:2]), tolerance=1.0)
     assert found.position == pytest.approx(0.0, abs=1e-12)
+
+
+def test_errors_of_joints_are_as_long_in_the_base_as_in_a_frame(with_statements, points):
+    result = without_uncertainty(with_statements(Record(), **ALONE["resolution"]))
+    samples = result.samples(points[:2])
+    in_frame, in_base = (
+        monte_carlo(result, samples, in_base=in_base, tolerance=0.05) for in_base in (False, True)
+    )
+    assert in_base.position == pytest.approx(in_frame.position, rel=1e-9)
+    assert in_base.orientation == pytest.approx(in_frame.orientation, rel=1e-9)
+    assert in_base.position == pytest.approx(in_base.linear.position, rel=0.1)

@@ -20,6 +20,7 @@ from calib.verbs.compensate.nominal_actual import chain_of_hand, pair_of
 from calib.verbs.compensate.robot_program import Program
 from calib.verbs.compensate.text import text
 from calib.verbs.simulate.scenario import Scenario, simulate
+from tests.parts import with_part
 from tests.two_handed import JOINTS, fitted
 
 
@@ -124,20 +125,42 @@ def test_the_expected_error_of_a_hand_is_what_its_commands_leave(simulated, hand
 
 
 def test_expected_errors_count_the_commanded_chain_and_no_other():
-    """Another covariance of the right hand's own parameters changes what is expected of it, and not of the left."""
+    """Another covariance of the right hand's own parameters changes what is expected of it, and not of the left.
+
+    So it is of targets, and of tools that each hand holds where the other one's target is.
+    """
     c = fitted()
     q = np.array([[0.3, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4], [0.1, 0.4, -0.3, -1.2, 0.6, 1.1, -0.4]])
-    before = {tool: expected_errors(pair_of(c, tool=tool, frame="t1"), q).mean for tool in "ab"}
     part = c.geometry
     right = np.array([name.startswith("right/") for name in part.model.names])
     less = np.where(right, 0.1, 1.0)
     known = replace(part, covariance=part.covariance * np.outer(less, less))
-    after_result = replace(c, geometry=known)
-    after = {
-        tool: expected_errors(pair_of(after_result, tool=tool, frame="t1"), q).mean for tool in "ab"
-    }
-    assert after["a"] == pytest.approx(before["a"], rel=1e-9)
-    assert abs(after["b"] / before["b"] - 1.0) > 0.1
+    changed = replace(c, geometry=known)
+
+    def expected(result, hand, tool):
+        nominal = result.nominal.rebuilt(None, *chain_of_hand(result, hand, None))
+        return expected_errors(pair_of(result, nominal, tool=tool, frame="t1"), q).mean
+
+    for hand, other, is_right in ((0, 1, False), (1, 0, True)):
+        name = c.setup.targets[hand]
+        for tool in (name, c.setup.T_tip_target[other]):
+            ratio = expected(changed, name, tool) / expected(c, name, tool)
+            assert (abs(ratio - 1.0) > 0.1) if is_right else (ratio == pytest.approx(1.0, rel=1e-9))
+
+
+def test_a_known_frame_on_another_link_does_not_tell_where_the_base_is():
+    """Nor does it take from the errors to expect in the base; one on the base does both."""
+    c = fitted()
+    q = np.array([[0.3, -0.5, 0.2, -1.8, 0.1, 1.5, 0.4]])
+    unknown = (c.setup.unknown[0], ())
+
+    def by_base(**changes):
+        result = with_part(c, "geometry", setup=replace(c.setup, **changes))
+        return expected_errors(pair_of(result, tool="b"), q).contributions["base"]
+
+    assert by_base() > 0.0
+    assert by_base(unknown=unknown, frame_links=("panda_link0", "panda_link3")) == by_base()
+    assert by_base(unknown=unknown) == 0.0
 
 
 def test_only_joints_of_the_commanded_hand_are_warned_of():
