@@ -332,7 +332,8 @@ class Robot(Value):
         chain = f"{self.base} to {self.tip}"
         count = f"{len(self.all_joints)} joints"
         if self.branches:
-            chain += f" and {len(self.branches)} more chains"
+            further = len(self.branches)
+            chain += f" and {further} more chain{'s' if further > 1 else ''}"
         return one_line("Robot", f"'{self.name}'", chain, count)
 
     @property
@@ -665,17 +666,22 @@ def _limbs_of(robot: Robot) -> tuple[Robot, ...]:
         branches=ends[1:],
         parts=robot.parts,
     )
-    order = [first.joint_names.index(name) for name in robot.joint_names]
-    return tuple(
-        replace(
-            limb,
-            parts=(),  # a chain by itself
-            inputs=robot.inputs,
-            mimic_matrix=read_only(limb.mimic_matrix[:, order]),
-            reading_matrix=robot.reading_matrix,
+    # A chain of a tree has the columns of all of it.
+    columns = [robot.joint_names.index(name) for name in first.joint_names]
+    limbs = []
+    for limb in first.chains:
+        mimic_matrix = np.zeros((len(limb.mimic_matrix), len(robot.joint_names)))
+        mimic_matrix[:, columns] = limb.mimic_matrix
+        limbs.append(
+            replace(
+                limb,
+                parts=(),  # a chain by itself
+                inputs=robot.inputs,
+                mimic_matrix=read_only(mimic_matrix),
+                reading_matrix=robot.reading_matrix,
+            )
         )
-        for limb in first.chains
-    )
+    return tuple(limbs)
 
 
 @lru_cache(maxsize=16)

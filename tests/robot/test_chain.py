@@ -7,12 +7,13 @@ import pinocchio as pin
 import pytest
 from hypothesis import event, given, settings, strategies as st
 
+from calib.data.cell_chains import robot_of_cell
 from calib.errors import CalibError, UrdfError
 from calib.model.dh_table import dh_table
 from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.readback import check_written
 from calib.robot.robot import Robot
-from calib.robot.urdf import Urdf
+from calib.robot.urdf import Urdf, read_urdf
 from tests.robot.shared import (
     LIMIT,
     SOME_AND_SLOWLY_ALL,
@@ -21,6 +22,7 @@ from tests.robot.shared import (
     random_q,
     urdf_of,
 )
+from tests.two_handed import CELL
 
 #: Two arms, arm and head, tip at the fork or above the base, and the columns that they have.
 TWO_BRANCHES = {
@@ -176,3 +178,15 @@ def test_any_tree_between_any_two_links(case):
     np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
     load = gravity_loads(robot, q, Payload(2.0, (0.1, 0.2, 0.3)))[..., 0]
     assert load.shape == (3, len(robot.joints))
+
+
+def test_a_chain_over_the_mount_of_another_robot_is_a_limb_with_the_columns_of_the_tree():
+    tree = robot_of_cell(read_urdf("panda"), CELL)
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 14))
+    assert repr(tree).endswith("1 more chain, 14 joints)")
+    for number, (chain, columns) in enumerate(zip(tree.chains, (q[:, :7], q[:, 7:]), strict=True)):
+        (limb,) = chain.limbs
+        assert [joint.name for joint in chain.all_joints] == [joint.name for joint in chain.joints]
+        assert repr(chain).endswith(f"{chain.tip}, 7 joints)")
+        np.testing.assert_array_equal(limb.chain_values(q), columns)
+        np.testing.assert_allclose(limb.poses(q), tree.poses(q, np.full(3, number)), atol=1e-14)
