@@ -203,6 +203,8 @@ def test_two_targets_at_one_pose_are_no_repeats(ur3):
     rows, _ = rows_and_setup(ur3, table, Cell())
     assert len(set(rows.poses)) == 3
     np.testing.assert_array_equal(rows.blocks, [0, 0, 1])
+    rows, _ = rows_and_setup(ur3, table.select(np.arange(3) < 2), Cell())  # without another pose
+    assert len(set(rows.poses)) == 2
 
 
 def test_repeats_of_a_pair_repeat_both_its_rows(ur3):
