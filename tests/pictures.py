@@ -38,14 +38,19 @@ def pictures_of(board: Board, seed: int, count: int) -> tuple[VirtualCell, Measu
     return cell, named(cell.measure(cell.poses(count, seed), seed).measurements)
 
 
-def two_cameras(board: Board, seed: int, count: int) -> tuple[VirtualCell, Measurements]:
+def two_cameras(
+    board: Board, seed: int, count: int, T_right_left: Array | None = None
+) -> tuple[VirtualCell, Measurements]:
     """Draw a cell, and return it with pictures of two cameras, ``"left_0"`` and ``"right_0"``, at the same poses."""
     cell, left = pictures_of(board, seed, count)
-    aside = np.eye(4)
-    aside[:3, :3] = [[0.98, 0.0, 0.199], [0.0, 1.0, 0.0], [-0.199, 0.0, 0.98]]
-    aside[:3, 3] = 0.05, 0.02, 0.1
-    U, _, V = np.linalg.svd(aside[:3, :3])
-    aside[:3, :3] = U @ V
+    if T_right_left is None:
+        aside = np.eye(4)
+        aside[:3, :3] = [[0.98, 0.0, 0.199], [0.0, 1.0, 0.0], [-0.199, 0.0, 0.98]]
+        aside[:3, 3] = 0.05, 0.02, 0.1
+        U, _, V = np.linalg.svd(aside[:3, :3])
+        aside[:3, :3] = U @ V
+    else:
+        aside = T_right_left
     truth = replace(cell.truth, T_frame_base=read_only(aside @ cell.truth.T_frame_base))
     other = replace(cell, truth=truth)
     right = named(other.measure(cell.poses(count, seed), seed).measurements)

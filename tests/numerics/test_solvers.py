@@ -100,6 +100,16 @@ def test_papers_damping_follows_the_gain():
         assert following.mu == pytest.approx(entry.mu * factor)
 
 
+@pytest.mark.parametrize(("share", "steps"), [(0.9e-6, 1), (1.1e-6, 2)])
+def test_a_step_of_a_millionth_has_converged_for_the_papers_solver(share, steps):
+    """Of r = x - 1 a step takes 1 / (1 + mu) of the way; the damping of the second one is 0.01 / 2.5."""
+    second = 1.004 * share
+    start = np.array([1.0 + second * 1.01 / 0.01])
+    solution = paper_levenberg_marquardt(lambda x: (x - 1.0, np.eye(1)), start)
+    assert solution.status == "converged"
+    assert solution.iterations == steps
+
+
 @pytest.mark.parametrize("iterations", [1, 4, 5000])
 def test_evaluations_of_the_papers_solver_are_counted(iterations):
     """At its limit as where it converges."""

@@ -209,11 +209,12 @@ def _ends_of_pair(R_tip: Array, R_board: Array, turns: Array) -> Integers:
     for a, b in product(range(len(turns)), repeat=2):
         differ = _angles(R_board @ turns[a].T, R_board @ turns[b].T) - angles
         off[a, b] = np.minimum(np.abs(differ), _NOT_THE_SAME)
+    every = np.arange(count)
+    off[:, :, every, every] = 0.0  # a view's own end is no reason to keep it
     # Start from the view whose motions tell the ends of the others best.
     spread = np.ptp(off[:, 0], axis=0)
     surest = int(np.argmax(np.sum(spread, axis=0)))
     ends = np.argmin(off[:, 0, :, surest], axis=0)
-    every = np.arange(count)
     for _ in range(_ROUNDS):
         before = ends.copy()
         for i in range(count):

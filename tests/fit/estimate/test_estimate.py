@@ -14,6 +14,7 @@ from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
+from calib.model.families import FAMILIES
 
 OFF = Priors(source="off")
 
@@ -96,6 +97,19 @@ def test_intervals_and_predicted_uncertainty_hold_what_they_say(virtual, paper_c
     assert 0.92 < np.mean(inside_points) < 0.97
     assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.12)
     assert np.mean(noise) == pytest.approx(1.0, abs=0.03)
+
+
+def test_prior_sizes_that_the_rows_told_count_as_if_they_were_given(virtual, paper_cell):
+    """Although they are a fraction of typical ones: an arm whose points are measured is as good as its rows say."""
+    rng = np.random.default_rng(0)
+    data = virtual.rows(rng, virtual.offsets(rng, 1e-4, 5e-4), 15, 1e-4)
+    told = fitted(virtual, paper_cell, data).estimate
+    assert all(std < 0.5 * FAMILIES[name].typical for name, std in told.prior_std.items())
+    priors = Priors("given", **told.prior_std)
+    given = fitted(virtual, replace(paper_cell, priors=priors), data).estimate
+    np.testing.assert_allclose(
+        np.diagonal(told.covariance), np.diagonal(given.covariance), rtol=1e-4
+    )
 
 
 @pytest.mark.slow

@@ -117,8 +117,19 @@ def test_a_parameter_at_a_bound_is_released_where_the_rows_pull_it_inside(make_s
     assert released(above, best - 1.0, above) == {k}
     assert released(above, above, best + 2.0) == set()
     assert released(below, best - 2.0, below) == set()
-    # At the optimum it stays where it is.
+    # At the optimum it stays where it is, and so near it that little is to be gained.
     assert released(best, best, best + 1.0) == set()
+
+    def squares(value):
+        x = found.estimate.x.copy()
+        x[k] = value
+        residual, _ = found.estimate.problem.system(x)
+        return residual @ residual
+
+    # Where the sum of squares would fall by 1e-6: it falls by the square of the distance.
+    step = 1e-3 * np.sqrt(1e-6 / (squares(below) - squares(best)))
+    assert released(best - 0.8 * step, best - 0.8 * step, best + 1.0) == set()
+    assert released(best - 1.2 * step, best - 1.2 * step, best + 1.0) == {k}
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.basics.arrays import read_only
+from calib.basics.arrays import Array, read_only
 from calib.boards.board import Board
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -21,6 +21,9 @@ ALIKE = Board(pattern="chessboard", columns=8, rows=6, square=0.025)
 
 #: A square of odd squares: after a quarter, too.
 SQUARE = Board(pattern="chessboard", columns=7, rows=7, square=0.025)
+
+#: Pose of a camera in another one that is turned by half about their common line of sight.
+UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def scrambled(table: Measurements, pictures: set[str]) -> Measurements:
@@ -82,10 +85,25 @@ def test_a_board_at_a_known_place_in_the_hand_has_its_own_end() -> None:
     np.testing.assert_allclose(result.board_points, table.board_points, atol=1e-12)
 
 
-@pytest.mark.slow
-def test_all_cameras_have_one_end() -> None:
+@pytest.mark.parametrize("name", ["0", "1", "2"])
+def test_three_pictures_tell_which_of_them_is_turned(name: str) -> None:
+    """Whichever it is, although one of the three motions has, by chance, its angle after half a turn as well."""
+    virtual, table = pictures_of(SQUARE, seed=3, count=3)
+    cell = Cell(cameras={"": STATED}, boards={"": SQUARE})
+    mixed = turned(table, SQUARE, {name: 1})
+    result = numbered_from_one_end(virtual.truth.nominal, mixed, cell)
+    assert result.other_end == (name,)
+    assert result.corners == table.corners
+
+
+@pytest.mark.parametrize(
+    ("count", "T_right_left"),
+    [pytest.param(10, None, marks=pytest.mark.slow), (3, UPSIDE_DOWN)],
+    ids=["aside", "upside_down"],
+)
+def test_all_cameras_have_one_end(count: int, T_right_left: Array | None) -> None:
     """A camera all of whose pictures are turned is brought to the end of the other one."""
-    cell, table = two_cameras(ALIKE, seed=3, count=10)
+    cell, table = two_cameras(ALIKE, 3, count, T_right_left)
     left = [name for name in dict.fromkeys(table.images) if name.startswith("left")]
     known = Cell(cameras={"": STATED}, boards={"": ALIKE})
     mixed = {*left, "right_0"}

@@ -115,10 +115,15 @@ def test_the_order_of_the_rows_does_not_matter(ur3, count):
     )
 
 
-def test_rows_of_a_search_differ_in_what_was_measured_where_joint_values_are_the_same(ur3):
-    rows, *_ = scene(ur3, count=150)
+@pytest.mark.parametrize("what", ["line", "camera"])
+def test_rows_of_a_search_differ_in_what_was_measured_where_joint_values_are_the_same(ur3, what):
+    """The first reading alone differs."""
+    rows, *_ = scene(ur3, what, count=151)
+    rows = rows.select(slice(150))
     samples = replace(rows.samples, q=np.zeros_like(rows.joints))
-    rows = replace(rows, samples=samples)
+    rows = replace(
+        rows, samples=samples, measured=rows.measured * np.eye(rows.measured.shape[1])[0]
+    )
     order, shuffled = in_another_order(rows)
     chosen = _rows_of_search(rows)
     np.testing.assert_array_equal(chosen[order], _rows_of_search(shuffled))

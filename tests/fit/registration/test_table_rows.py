@@ -18,6 +18,7 @@ from calib.robot.gravity import Payload, gravity_loads
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
 from tests.fit.registration.tables import as_kind
+from tests.pictures import STATED
 from tests.two_handed import CELL, NAMES, two_handed
 
 ALL = ("x", "y", "z", "rx", "ry", "rz")
@@ -176,6 +177,25 @@ def test_repeats_are_of_one_pose_target_frame_and_kind(ur3):
     np.testing.assert_array_equal(rows.blocks, [0] * 6 + [1])
 
 
+def test_repeats_of_a_corner_are_no_repeats_of_another_one():
+    """Corner 0, corner 1 and corner 0 again at one pose, and corner 0 at another."""
+    board_points = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    q = np.array([0.0, 0.0, 0.0, 0.5])[:, None] * np.ones(6)
+    table = Measurements(
+        UR3.joint_names,
+        q,
+        np.full((4, 3), np.nan),
+        kinds=("pixel",) * 4,
+        board_points=board_points,
+        corners=("0", "1", "0", "0"),
+        readings={"u": np.array([600.0, 650.0, 600.0, 500.0]), "v": np.full(4, 300.0)},
+    )
+    rows, _ = rows_and_setup(UR3, table, Cell(cameras={"": STATED}))
+    assert rows.poses[0] == rows.poses[2]
+    assert len(set(rows.poses)) == 3
+    np.testing.assert_array_equal(rows.blocks, [0, 0, 0, 1])
+
+
 def test_two_targets_at_one_pose_are_no_repeats(ur3):
     """Of rows of which no other two are of one pose."""
     q = np.array([0.0, 0.0, 0.5])[:, None] * np.ones(6)
@@ -183,6 +203,8 @@ def test_two_targets_at_one_pose_are_no_repeats(ur3):
     rows, _ = rows_and_setup(ur3, table, Cell())
     assert len(set(rows.poses)) == 3
     np.testing.assert_array_equal(rows.blocks, [0, 0, 1])
+    rows, _ = rows_and_setup(ur3, table.select(np.arange(3) < 2), Cell())  # without another pose
+    assert len(set(rows.poses)) == 2
 
 
 def test_repeats_of_a_pair_repeat_both_its_rows(ur3):

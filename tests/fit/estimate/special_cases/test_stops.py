@@ -648,9 +648,22 @@ def test_no_stop_is_thrown_out_of_good_ones(missing_hand):
     assert not np.any(fit_of(missing_hand, missing_hand.points)[1])
 
 
+def with_stops_off(hand, distances):
+    """The points of a hand whose first stops are off by distances [m], each in a direction of its own."""
+    count = len(distances)
+    points, shift = hand.points.copy(), np.random.default_rng(1).normal(size=(count, 1, 3))
+    shift /= np.linalg.norm(shift, axis=2, keepdims=True)
+    points[:count] += distances[:, None, None] * shift
+    return points
+
+
 def test_many_stops_that_are_off_are_none(missing_hand):
-    points, rng = missing_hand.points.copy(), np.random.default_rng(1)
-    shift = rng.normal(size=(12, 1, 3))
-    points[:12] += SHIFT * shift / np.linalg.norm(shift, axis=2, keepdims=True)
-    _, flagged = fit_of(missing_hand, points)
+    _, flagged = fit_of(missing_hand, with_stops_off(missing_hand, np.full(12, SHIFT)))
     assert not np.any(np.all(flagged, axis=1))
+
+
+def test_six_of_forty_stops_are_not_too_many(missing_hand):
+    """They are just the share of which no more are thrown out: the last one is found once the others are."""
+    points = with_stops_off(missing_hand, np.linspace(2.0, 1.0, 6) * SHIFT)
+    _, flagged = fit_of(missing_hand, points)
+    np.testing.assert_array_equal(np.flatnonzero(np.all(flagged, axis=1)), np.arange(6))
