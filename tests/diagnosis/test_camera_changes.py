@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import read_only
 from calib.data.cell import Cell
@@ -40,8 +41,9 @@ def test_nothing_is_found_in_a_correct_table(seen: tuple[VirtualCell, Measuremen
 
 
 def moved_camera(cell: VirtualCell) -> VirtualCell:
-    """Return the cell with its camera 4 mm aside."""
+    """Return the cell with its camera 4 mm aside, and turned by 10 mrad about itself."""
     bump = np.eye(4)
+    bump[:3, :3] = Rotation.from_rotvec([0.01, 0.0, 0.0]).as_matrix()
     bump[0, 3] = 4e-3
     truth = replace(cell.truth, T_frame_base=read_only(bump @ cell.truth.T_frame_base))
     return replace(cell, truth=truth)
@@ -54,7 +56,8 @@ def test_a_camera_that_was_moved_by_millimetres(seen: tuple[VirtualCell, Measure
     (finding,) = changes_between_pictures(cell.truth.nominal, CELL, both)
     assert finding.reason.why is Why.CAMERA_MOVED
     assert finding.reason.values["first"] == str(FIRST)
-    assert finding.reason.values["moved_m"] == pytest.approx(4e-3, rel=0.3)
+    assert finding.reason.values["moved_m"] == pytest.approx(4e-3, rel=0.1)
+    assert finding.reason.values["moved_rad"] == pytest.approx(0.01, rel=0.1)
     assert set(finding.rows) == set(np.flatnonzero(of_pictures(both) >= FIRST) + 1)
 
 

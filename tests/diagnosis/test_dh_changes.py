@@ -129,8 +129,9 @@ class Spoilt:
 def one(joint: str, column: str, wrong: float, rows: dict[str, Numbers] = STANDARD) -> Spoilt:
     """One cell is wrong."""
     right = rows[joint][COLUMNS.index(column)]
-    text = table_text(with_cell(rows, joint, **{column: wrong}))
-    return Spoilt(text, Why.DH_CELLS, ((joint, column, right),), rows)
+    modified = rows is MODIFIED
+    text = table_text(with_cell(rows, joint, **{column: wrong}), modified=modified)
+    return Spoilt(text, Why.DH_CELLS, ((joint, column, right),), rows, modified)
 
 
 TABLES = {
@@ -155,7 +156,13 @@ TABLES = {
     "offset of J2 missing": Spoilt(
         one("J2", "offset", 0).text, Why.DH_CELLS, (("J2", "theta", -90),)
     ),
+    "offset of J2 missing beside another": one(
+        "J2", "offset", 0, with_cell(STANDARD, "J3", offset=30)
+    ),
     "theta of J3 off by 90 deg": one("J3", "theta", 90),
+    "wrong a6": one("J6", "a", 40),
+    "wrong a0 of modified rows": one("J1", "a", 40, MODIFIED),
+    "wrong a5 of modified rows": one("J6", "a", 40, MODIFIED),
     "a2 of a palletiser": one("J2", "a", 571, PALLETISER),
     "sense of J4": one("J4", "direction", 1),
     "lines J5 and J6 exchanged": Spoilt(
@@ -186,7 +193,10 @@ ELSEWHERE = {
     "wrong d1": "base",
     "d6 missing": "tool",
     "offset of J2 missing": "joint",
+    "offset of J2 missing beside another": "joint",
     "theta of J3 off by 90 deg": "joint",
+    "wrong a6": "tool",
+    "wrong a0 of modified rows": "base",
     "sense of J4": "joint",
 }
 

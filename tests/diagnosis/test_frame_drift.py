@@ -215,6 +215,23 @@ def test_three_references_show_a_rotation(apart):
     assert left.max() < 5e-5 / apart
 
 
+def test_a_drift_is_bounded_only_where_it_is_told_from_a_rotation_in_all_directions():
+    """Three references before and after a rotation: one along their normal is a rotation that grows with the time.
+
+    They were read the other way round afterwards, so that along the two others a drift is no displacement.
+    """
+    R = Rotation.from_rotvec([0.0, 0.0, 1e-2]).as_matrix()
+    turned = lambda t, p, _: (R @ p - p) * (t >= 20)  # noqa: E731
+    m = with_references(random_points(), turned, count=3, every=30)
+    order = [0, 1, 2, 5, 4, 3]
+    names = tuple(m.references.targets[k] for k in order)
+    references = replace(m.references, points=m.references.points[order], targets=names)
+    drift, _ = find_frame_drift(replace(m, references=references))
+    (step,) = drift.found
+    np.testing.assert_allclose(step.rotation, [0.0, 0.0, 1e-2], atol=1e-4)
+    assert np.isnan(drift.left)
+
+
 def test_stations_are_looked_at_by_themselves():
     left = with_references(random_points(), step_of(24))
     both = replace(left, groups=("a",) * 15 + ("b",) * 15)

@@ -209,6 +209,16 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             "use with care",
             Why.MANY_OUTLIERS,
         ),
+        # As far off as before, but the fall of all errors may be chance.
+        (
+            {
+                "outliers": FLAGGED,
+                "nominal": with_errors_at(validated(0.61e-3, 2), 4e-3),
+                "calibrated": with_errors_at(validated(0.59e-3, 1), 4e-3),
+            },
+            "do not use",
+            Why.MANY_OUTLIERS,
+        ),
         # Far beyond the held-out error it is a doubt; far beyond the nominal one the rows are of something else,
         # whether their error falls or not.
         ({"validation": on_validation(30e-3, 24e-3)}, "use with care", Why.VALIDATION_UNLIKE),

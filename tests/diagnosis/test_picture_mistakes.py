@@ -91,6 +91,35 @@ def test_shifted_pictures(seen: tuple[VirtualCell, Measurements], first: int) ->
     assert abs(int(place) - first) <= 1
 
 
+@pytest.mark.parametrize(("first", "whys"), [(2, [Why.ROWS_MOVED]), (3, [])])
+def test_three_quarters_of_the_pictures_tell_that_they_are_shifted(
+    seen: tuple[VirtualCell, Measurements], first: int, whys: list[Why]
+) -> None:
+    """Of nine that have a next one, those from some picture on have their joint values in its rows.
+
+    Those before have the joint values of other poses. The camera and the board are where they were given.
+    """
+    cell, table = seen
+    T_tip_board = cell.truth.T_tip_target[0]
+    placed = replace(
+        CELL,
+        T_frame_base=cell.truth.T_frame_base[0],
+        target=T_tip_board[:3, 3],
+        target_rotation=T_tip_board[:3, :3],
+        estimate_target=False,
+    )
+    order = np.arange(COUNT) - 1
+    order[: first + 1] = np.arange(first + 1)[::-1] + 10
+    ten = with_joints(table, joints_of(table)[order]).select(of_pictures(table) < 10)
+    findings = mistakes_of_pictures(cell.truth.nominal, placed, ten)
+    assert [finding.reason.why for finding in findings] == whys
+    for finding in findings:
+        values = finding.reason.values
+        place = of_pictures(ten)[ten.rows.index(values["row"])]
+        assert (place, values["up"], finding.rows) == (first, True, ())
+        assert values["error_m"] < 0.01 < 0.3 < values["given_m"]
+
+
 @pytest.mark.slow
 def test_all_pictures_shifted(seen: tuple[VirtualCell, Measurements]) -> None:
     """Each picture has the joint values of the next one."""

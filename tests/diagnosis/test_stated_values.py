@@ -28,6 +28,7 @@ from calib.model.families import ANGLE, FAMILIES, ZERO
 from calib.robot.ranges import random_joint_values
 from tests.covariances import random_covariances
 from tests.fit.estimate.special_cases.test_pose_covariances import table_with
+from tests.fits import SOCKETS, TARGETS, gaps, in_each
 from tests.images import BOARD, BODY, VALUES, arm as camera_arm, camera, cell, poses, table
 from tests.judged import arm, fit_to, moved, table_of
 
@@ -140,19 +141,24 @@ def test_few_determined_lengths_bound_the_scale_less():
     assert (certified.size, certified.bound) == (0.0, 0.0)
 
 
-@pytest.mark.slow
-def test_a_known_distance_between_sockets_tells_the_scale(calibrated):
+def test_a_known_distance_between_sockets_tells_the_scale(make_scene):
     """Sockets measure nothing: only the distance grows, and the error that it then has is found."""
-    scene, result = calibrated("sockets")
-    scale = instrument_scale(result.fit.geometry)
-    assert scale.prior == scale.size == 0.0
-    assert abs(scale.share) < 3.0 * scale.std
-    wrong = tuple(replace(one, length=1.01 * one.length) for one in result.fit.cell.distances)
-    cell = replace(result.fit.cell, distances=wrong)
-    rows, setup = rows_and_setup(scene.robot, result.fit.measurements, cell)
-    task = replace(result.fit.geometry.task, cell=cell, setup=setup)
-    found = fit(replace(task, distances=known_distances(cell, setup)), rows)
-    assert instrument_scale(found).share == pytest.approx(0.01, abs=3.0 * scale.std)
+    scene = make_scene(39, frames=SOCKETS, targets=TARGETS[:1], length=3e-4, angle=3e-3, noise=2e-5)
+    table = in_each(scene.fixed, 16)
+    (true,) = gaps(SOCKETS)
+
+    def scale_of(*distances):
+        cell = Cell(model="dh", distances=distances)
+        rows, setup = rows_and_setup(scene.robot, table, cell)
+        known = known_distances(cell, setup)
+        return instrument_scale(fit(Task(scene.robot, cell, setup, "dh", distances=known), rows))
+
+    right, wrong = scale_of(true), scale_of(replace(true, length=1.01 * true.length))
+    assert right.prior == right.size == 0.0
+    assert abs(right.share) < 3.0 * right.std
+    assert wrong.share - right.share == pytest.approx(0.01, rel=0.05)
+    # Without the distance no row knows a length.
+    assert scale_of() is None
 
 
 def test_zeros_of_joints_cannot_take_a_scale(clean):

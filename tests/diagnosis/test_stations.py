@@ -18,6 +18,7 @@ from calib.diagnosis.stations import (
 )
 from calib.result.calibrate import calibrate
 from calib.robot.ranges import random_joint_values
+from tests.fits import TARGETS, TRACKERS, joined
 from tests.judged import arm, fit_to, reasons, table_of
 
 
@@ -63,6 +64,23 @@ def test_errors_that_the_other_stations_cannot_know_are_expected(make_scene):
     slipped = m.joints + 5e-4 * np.outer(np.arange(80) >= 40, np.arange(6) == 1)
     found = disagreeing_stations(fit_to(scene, replace(m, joints=slipped)))
     assert {reason.why for reason in found} == {Why.SETUP_UNPREDICTED}
+
+
+@pytest.mark.parametrize(("rows", "named"), [(2, []), (3, ["1"])])
+def test_stations_are_compared_by_a_fit_with_ten_degrees_of_freedom(make_scene, rows, named):
+    """One sees the target, which alone is estimated, a millimetre too high: with 9 degrees of freedom, and with 12."""
+    scene = make_scene(
+        36, frames=TRACKERS[:2], targets=TARGETS[:1], length=0.0, angle=0.0, noise=2e-5
+    )
+    table = joined(scene.points(rows, 0), scene.points(2, 1))
+    is_other = np.array(table.groups) == "1"
+    cell = Cell(model="frames", frames={str(k): TRACKERS[k] for k in range(2)})
+    fitted = fit_to(
+        scene, replace(table, points=table.points + [0, 0, 1e-3] * is_other[:, None]), cell
+    )
+    assert fitted.estimate.freedom == pytest.approx(3 * (rows + 2) - 3)
+    found = disagreeing_stations(fitted)
+    assert [reason.values["setup"] for reason in found] == named
 
 
 @pytest.mark.parametrize(

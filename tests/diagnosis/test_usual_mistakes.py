@@ -127,6 +127,31 @@ def test_coupled_readings_are_named(ur3: Robot, thirty: Measurements, stated, tr
     assert told.values.get("factor") == next(iter(true.get(joint, {}).values()), None)
 
 
+def test_the_sign_and_the_zero_of_one_joint_are_two_mistakes(ur3: Robot, thirty: Measurements):
+    twenty = thirty.select(np.arange(30) < 20)
+    told = find_usual_mistake(
+        ur3, Cell(), spoilt(twenty, joints=[1, 1, -1, 1, 1, 1], add=[0, 0, 90, 0, 0, 0])
+    )
+    assert told.why == Why.TWO_MISTAKES
+    sign, zero = told.values["both"]
+    assert sign == {"code": "joints_turned", "joints": ELBOW}
+    # Readings are -q + 90 deg, so that with the other sign a quarter turn is missing.
+    assert zero == {"code": "joint_zero", "joint": ELBOW, "add_rad": pytest.approx(np.pi / 2)}
+    assert told.values["error_m"] < 3e-3
+
+
+def test_the_last_joints_zero_is_named_where_it_puts_a_given_target_back(
+    ur3: Robot, thirty: Measurements
+):
+    """By a turn that is round; by another one the target itself may be elsewhere."""
+    given = Cell(target=read_only(PAPER_TARGET))
+    told = find_usual_mistake(ur3, given, spoilt(thirty, add=[0, 0, 0, 0, 0, 45]))
+    assert (told.why, told.values["joint"]) == (Why.JOINT_ZERO, WRISTS[2])
+    assert told.values["add_rad"] == pytest.approx(-np.pi / 4)
+    assert told.values["error_m"] < 3e-3
+    assert find_usual_mistake(ur3, given, spoilt(thirty, add=[0, 0, 0, 0, 0, 30])) is None
+
+
 def test_all_explanations_that_the_rows_cannot_tell_apart_are_named(
     ur3: Robot, thirty: Measurements
 ):
@@ -245,7 +270,12 @@ def test_all_signs_of_few_joints_are_tried_and_single_ones_of_many(
     ur3: Robot, thirty: Measurements, serial_urdf
 ):
     rows, setup = rows_and_setup(ur3, thirty, Cell())
-    assert len(list(_turned_joints(ur3, setup, rows))) == 2**6 - 1
+    trials = list(_turned_joints(ur3, setup, rows))
+    assert len(trials) == 2**6 - 1
+    # The more signs, the larger the error that counts.
+    for trial in trials:
+        count = len(trial.mistake.values["joints"].split(", "))
+        assert trial.factor == pytest.approx(1.0 + 0.2 * count)
     joint = ("revolute", (0.1, 0.0, 0.0), (0, 0, 0), (0, 0, 1))
     for joints, sets in ((7, 2**7 - 1), (8, 8)):
         robot = Robot.from_urdf(serial_urdf([joint] * joints))
