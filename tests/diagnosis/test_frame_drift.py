@@ -213,6 +213,10 @@ def test_three_references_show_a_rotation(apart):
     assert np.abs(corrected.points - points)[clear].max() < 5e-5 / apart
     left = Rotation.from_matrix(corrected.rotations[clear]).magnitude()
     assert left.max() < 5e-5 / apart
+    # A rotation displaces points whose orientation was not measured too.
+    positions = without_frame_drift(replace(m, kinds=(), rotations=None), displaced)
+    np.testing.assert_array_equal(positions.points, corrected.points)
+    assert positions.rotations is None
 
 
 def test_a_drift_is_bounded_only_where_it_is_told_from_a_rotation_in_all_directions():

@@ -47,6 +47,7 @@ def test_lengths_and_angles_of_several_kinds():
     assert np.all(np.isnan(errors["m"].mean_axis))  # not all have axes
     whole = Errors.of(residual[:2], lengths_and_angles(used[:2]))
     np.testing.assert_allclose(whole["m"].mean_axis, [1.5, 1.0, 2.0])
+    np.testing.assert_allclose(whole["m"].rms_axis, np.sqrt([4.5, 2.0, 8.0]))
     np.testing.assert_allclose(whole["m"].span_axis, [3.0, 2.0, 4.0])
     np.testing.assert_allclose(whole["rad"].mean_axis, [0.0, 0.1, 0.0])
     assert errors.units == ("m", "rad")

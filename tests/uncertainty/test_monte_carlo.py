@@ -82,6 +82,15 @@ def without_uncertainty(result):
     return replace(result, geometry=model)
 
 
+def test_trials_are_drawn_until_u_is_known_as_asked_and_in_few_blocks_at_least(tracked, points):
+    loose, close = (
+        monte_carlo(tracked, tracked.samples(points[:1]), tolerance=tolerance)
+        for tolerance in (1.0, 0.01)
+    )
+    assert loose.trials == 5000
+    assert close.standard_error <= 0.01
+
+
 def test_without_uncertainty_nothing_is_drawn(tracked, points):
     exact = without_uncertainty(tracked)
     found = monte_carlo(exact, exact.samples(points[:2]), tolerance=1.0)
