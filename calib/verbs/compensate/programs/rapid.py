@@ -864,6 +864,8 @@ class _Program:
         if not with_configuration or configuration is None:
             return target
         quadrants = np.array(configuration)
+        if not np.all(np.isfinite(quadrants)):  # a number that is too large for any controller
+            return "computed"
         written = self._numbers(value.items[2], 4)
         dependent: tuple[tuple[NumberText, _Quadrant], ...] = ()
         if written is not None:

@@ -364,6 +364,13 @@ def test_one_by_one(body: str, codes: list[str], tmp_path: Path) -> None:
     assert sorted(code for _, code in left(program)) == codes
 
 
+def test_a_quadrant_beyond_all_numbers_is_left(tmp_path: Path) -> None:
+    target = "[[400,0,500],[0,0,1,0],[1e999,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+    program = of(f"PROC main()\nMoveL {target},v1,fine,tool0;\nENDPROC", tmp_path)
+    assert program.targets == ()
+    assert [code for _, code in left(program)] == ["computed"]
+
+
 def test_seven_joints(tmp_path: Path) -> None:
     names = tuple(f"yumi_joint_{j}_l" for j in (1, 2, 7, 3, 4, 5, 6))
     path = tmp_path / "left.mod"
