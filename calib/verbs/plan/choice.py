@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +22,13 @@ from calib.basics.jobs import Progress
 from calib.basics.values import Value
 from calib.errors import ModelError
 from calib.instruments.camera import USUAL_LIMITS, SightLimits
+from calib.instruments.instrument import Instrument
 from calib.model.observability import steps
 from calib.numerics.moves import last_moves
 from calib.verbs.plan.approach import SIDES, visits
 from calib.verbs.plan.forecast import Forecast, Workspace, information
 from calib.verbs.plan.optimal import RESTARTS, Basis, Indices, choose, exchange, ranking, short_list
-from calib.verbs.plan.pose_candidates import Pool
+from calib.verbs.plan.pose_candidates import Pool, drawing_of
 from calib.verbs.plan.sensitivity import Sensitivity
 
 #: Number of poses above which one random start is enough: many choices are equally good.
@@ -91,6 +92,12 @@ class PlanRequest(Value):
         if self.start is not None:
             start = numbers("start", self.start, "joint values of shape (m,), [rad] or [m]")
             finite_numbers("start", start.ravel(), (None,), "finite joint values")
+
+    def complete(self, instrument: Instrument) -> PlanRequest:
+        """Return the request with the number of candidates that is enough for an instrument, if it has none."""
+        enough = drawing_of(instrument).enough if self.candidates is None else self.candidates
+        self.check(enough)
+        return replace(self, candidates=enough)
 
     def check(self, candidates: int) -> None:
         """Raise `ModelError` for an unknown criterion or approach, no pose, or more than candidates or `MOST_POSES`."""

@@ -270,8 +270,9 @@ def plan(
     from calib.data.cell_chains import check_arm_is_named
     from calib.data.columns import column_names
     from calib.result.calibration_file import write_table
-    from calib.verbs.plan.plan import plan as plan_poses, refuse_region
+    from calib.verbs.plan.plan import plan as plan_poses
     from calib.verbs.plan.plan_file import next_number, plan_table, read_poses, write_plan
+    from calib.verbs.plan.reachable import refuse_region
     from calib.verbs.plan.sensitivity import views_of
     from calib.verbs.plan.text import plan_text
     from calib.verbs.workspace.region_file import read_region

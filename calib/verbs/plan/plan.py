@@ -7,7 +7,7 @@ the instrument: a tracker and its targets, or a camera and a board.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,35 +20,22 @@ from calib.basics.values import Value, keep_read_only, shown_by
 from calib.data.cell import Cell
 from calib.data.cell_chains import Sight
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
-from calib.errors import CalibError, ModelError, choices
-from calib.instruments.instrument import Condition, Instrument, Sightline
+from calib.errors import ModelError
+from calib.instruments.instrument import Instrument, Sightline
 from calib.numerics.moves import last_moves
 from calib.robot.robot import Robot
-from calib.verbs.plan.approach import approaches, with_room
-from calib.verbs.plan.bodies import collision_model, free_lines_of_sight
 from calib.verbs.plan.choice import PlanRequest, choose_poses
-from calib.verbs.plan.collision import CollisionCheck, CollisionModel
+from calib.verbs.plan.collision import CollisionCheck
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.notes import Note
-from calib.verbs.plan.pose_candidates import (
-    Pool,
-    combined,
-    draw,
-    draw_towards,
-    drawing_of,
-    joined_pools,
-    planning_ranges,
-    rounded,
-)
+from calib.verbs.plan.pose_candidates import Pool, rounded
+from calib.verbs.plan.reachable import check_placed, reachable
 from calib.verbs.plan.route import Blocked, find_route
 from calib.verbs.plan.sensitivity import Sensitivity, View
 from calib.verbs.workspace.region import Region
 
 #: Called with the stage of the work, how much of it is done, and all of it.
 Progress = Callable[[str, int, int], None]
-
-#: Number of poses among which those to drive by are looked for.
-_STOPS = 4000
 
 #: The print's scale is worth a remark if the error without its uncertainty is a smaller share of that with it.
 _MATTERS = 0.7
@@ -251,23 +238,11 @@ def plan(
     check_type("region", region, (Region, type(None)), "a Region, or None")
     check_type("collisions", collisions, (CollisionCheck, type(None)), "a CollisionCheck, or None")
     check_callable("progress", progress)
-    for name, further in known.robots.items():
-        if further.T_root_base is None:
-            raise CalibError(
-                f"To plan for the robot '{name}' it must be known roughly where it stands: state xyz_mm and rpy_deg of "
-                f"its root in that of the first robot in the table [robots.{name}] of the cell file."
-            )
+    check_placed(known)
     sensitivity = Sensitivity.of(arm, known, limits=request.sight)
     instrument, views = sensitivity.instrument, sensitivity.views
     several = len(views) > 1
-    if region is not None and several:
-        raise CalibError(
-            "--region is for the targets of one hand, and there are several: plan for one hand, or without it."
-        )
-    if request.candidates is None:
-        request = replace(request, candidates=drawing_of(instrument).enough)
-    assert request.candidates is not None
-    request.check(request.candidates)
+    request = request.complete(instrument)
     no_poses = np.zeros((0, len(arm.inputs)))
     measured = no_poses if taken is None else arm.columns(taken, "taken")
     measured_moves = last_moves(measured)
@@ -291,35 +266,8 @@ def plan(
         taken_seen = np.ones((len(measured), 1), dtype=np.bool_)
     measured, measured_moves = read_only(measured), read_only(measured_moves)
 
-    body = None
-    if collisions is not None:
-        body = collision_model(instrument, sensitivity, collisions)
-    ranges = planning_ranges(arm, known.ranges, request.margin)
-    sides = approaches(arm, ranges, request.approach)
-    ranges = with_room(ranges, sides)
-    pools = []
-    free = [*_body_conditions(body, sides)]
-    conditions = [[*_sight_conditions(sensitivity, view, body)] for view in views]
-    for v, (view, of_view) in enumerate(zip(views, conditions, strict=True)):
-        wanted = -(-request.candidates // len(views))
-        every = [*_region_condition(sensitivity, region), *of_view, *free]
-        draws = (ranges, every, wanted, request.seed + v, _stage(progress, "candidates"))
-        try:
-            if view.instrument.VIEWPOINT_NUMBERS:
-                (sightline,) = sensitivity.sightlines_of(view)
-                pools.append(draw_towards(view.instrument, sightline, *draws))
-            else:
-                pools.append(draw(arm, *draws))
-        except ModelError as error:
-            if not several:
-                raise
-            raise ModelError(f"{_words_of(sensitivity, view)}: {error}") from error
-    pool = pools[0]
-    if several:
-        both = pool.q[:0]
-        if instrument.VIEWPOINT_NUMBERS:  # at random poses a second camera or board is rarely seen
-            both = combined([arm.chains[view.chain] for view in views], pools, ranges)
-        pool = joined_pools(arm, ranges, pools, conditions, both, free)
+    ground = reachable(sensitivity, request, region, collisions, _stage(progress, "candidates"))
+    pool, body, sides = ground.pool, ground.body, ground.sides
     choice = choose_poses(
         sensitivity,
         pool,
@@ -333,17 +281,8 @@ def plan(
 
     poses = np.concatenate([choice.planned, choice.validation])
     start = None if request.start is None else np.asarray(request.start, dtype=np.float64)
-    # If errors depend on a joint's value, a pose one turn further is another pose.
-    turns = not sensitivity.kinematics.model.joint_terms
-    limits = with_room(planning_ranges(arm, known.ranges, request.margin, turns=turns), sides)
-
-    def stops() -> Array:
-        """Return poses of the workspace that are free of collision; the target need not be seen there."""
-        first = pool.workspace[:_STOPS]
-        return first if body is None else first[body.free(first)]
-
     path_free = None if body is None else body.path_free
-    route = find_route(arm, poses, limits, start, path_free, stops, sides)
+    route = find_route(arm, poses, ground.limits, start, path_free, ground.stops, sides)
     is_fitted = route.order < len(choice.planned)
     fitted = np.concatenate([measured, route.joints[is_fitted]])
     fitted_moves = np.concatenate([measured_moves, route.moves[is_fitted]])
@@ -394,17 +333,6 @@ def plan(
     )
 
 
-def _words_of(sensitivity: Sensitivity, view: View) -> str:
-    """Word what a view measures: "board 'left' before camera 'head'", "target 'left', on 'hand'"."""
-    setup, chain = sensitivity.setup, sensitivity.kinematics.robot.chains[view.chain]
-    targets = choices([setup.targets[t] for t in view.targets])
-    group = setup.groups[view.frame]
-    if view.instrument.VIEWPOINT_NUMBERS:
-        return f"board {targets} before camera '{group or chain.base}'"
-    by = f" seen from '{group}'" if group else ""
-    return f"target {targets} on '{chain.tip}'{by}"
-
-
 def _seen_already(
     sensitivity: Sensitivity, count: int, sights: Sequence[Collection[Sight]] | None
 ) -> Mask:
@@ -424,55 +352,9 @@ def _seen_already(
     return np.array(seen, dtype=np.bool_).reshape(count, len(of_views))
 
 
-def refuse_region(instrument: Instrument) -> None:
-    """Refuse a region for an instrument with viewpoints, to which it does not apply; raises `CalibError`."""
-    if instrument.VIEWPOINT_NUMBERS:
-        raise CalibError("--region is for targets; where the board is seen is said by --board-at.")
-
-
 def _stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
     """Return the function to which one stage of the work reports its progress."""
     return None if progress is None else partial(progress, stage)
-
-
-def _region_condition(sensitivity: Sensitivity, region: Region | None) -> Iterator[Condition]:
-    """Yield the condition that the first target is in a region; nothing without one (None).
-
-    A region with an instrument that cannot have one raises `CalibError`.
-    """
-    if region is not None:
-        refuse_region(sensitivity.instrument)
-        robot, T_tip_target = sensitivity.kinematics.robot, sensitivity.setup.T_tip_target[0]
-        yield Condition(
-            "region", lambda q: region.contains((robot.poses(q) @ T_tip_target)[:, :3, 3])
-        )
-
-
-def _sight_conditions(
-    sensitivity: Sensitivity, view: View, body: CollisionModel | None
-) -> Iterator[Condition]:
-    """Yield the conditions under which a view measures, the cheap ones first: instrument, then lines of sight."""
-    yield from view.instrument.sees(sensitivity.sightlines_of(view))
-    if body is not None:
-        # A line of sight is one rod against all links; links among themselves take ten times as long.
-        yield from free_lines_of_sight(sensitivity, body, view)
-
-
-def _body_conditions(body: CollisionModel | None, sides: Array) -> Iterator[Condition]:
-    """Yield the conditions that poses, and the ways to them from all sides, are free of collision."""
-    if body is not None:
-        yield Condition("collision", body.free)
-        if len(sides):
-            yield Condition("approach", partial(_approach_free, body, sides))
-
-
-def _approach_free(body: CollisionModel, sides: Array, q: Array) -> Mask:
-    """Test at which poses (n, m) the last moves, from all sides (s, m), are free; shape (n,).
-
-    A move of a few degrees is tested where it begins and at each third; its end is the pose itself.
-    """
-    ways = [q - share * side for side in sides for share in (1.0, 2 / 3, 1 / 3)]
-    return np.asarray(np.all([body.free(way) for way in ways], axis=0))
 
 
 def _scale_notes(
