@@ -398,6 +398,46 @@ class Measurements(Value):
             needs_all_joints=needs_all_joints,
         )
 
+    @classmethod
+    def joined(cls, tables: Sequence[Measurements]) -> Measurements:
+        """Put tables of the same joints one below the other, in the order in which they were measured.
+
+        Args:
+            tables: One or more, without references. Each row keeps the last moves of its own table.
+
+        Returns:
+            All rows, numbered from 1; what a table does not measure is NaN in its rows.
+        """
+        if len(tables) == 1:
+            return tables[0]
+        counts = [len(table) for table in tables]
+
+        def stacked(values: Sequence[Array | Mask | None]) -> Array | None:
+            """Return an array of all tables, one below the other, NaN where one has none; None if all have none."""
+            known = [array for array in values if array is not None]
+            if not known:
+                return None
+            empty = np.zeros(1, dtype=known[0].dtype)[0] if known[0].dtype == np.bool_ else np.nan
+            pairs = zip(values, counts, strict=True)
+            return np.concatenate(
+                [
+                    np.full((count, *known[0].shape[1:]), empty) if array is None else array
+                    for array, count in pairs
+                ]
+            )
+
+        values: dict[str, Any] = {
+            name: stacked([getattr(table, name) for table in tables]) for name in _ARRAYS
+        }
+        for name in _MAPPINGS:
+            keys = dict.fromkeys(key for table in tables for key in getattr(table, name))
+            values[name] = {
+                key: stacked([getattr(table, name).get(key) for table in tables]) for key in keys
+            }
+        for name in WORD_COLUMNS:
+            values[name] = tuple(word for table in tables for word in getattr(table, name))
+        return cls(joint_names=tables[0].joint_names, prismatic=tables[0].prismatic, **values)
+
     @staticmethod
     def columns_of(kind: Kind, measured: Array) -> dict[str, Any]:
         """Return what rows of one kind measure as arguments of `Measurements`.
@@ -653,7 +693,7 @@ class Measurements(Value):
         Raises:
             FileError: The file exists and ``overwrite`` is False, or it cannot be written.
         """
-        columns = self._columns()
+        columns = self.columns()
         rows = [columns, *zip(*columns.values(), strict=True)]
         write_atomically(path, csv_bytes(rows), overwrite=overwrite)
 
@@ -670,13 +710,16 @@ class Measurements(Value):
             CalibError: The library is not installed, or another one was named.
         """
         columns = {}
-        for header, cells in self._columns().items():
+        for header, cells in self.columns().items():
             has_words = header in _WORD_HEADERS
             columns[header] = [None if cell == "" and not has_words else cell for cell in cells]
         return frame_of(columns, library)
 
-    def _columns(self) -> dict[str, Sequence[object]]:
-        """Return the columns to write by their headers, of poses and references in the order of measurement."""
+    def columns(self) -> dict[str, Sequence[object]]:
+        """Return the columns that `write` writes by their headers, in degrees and millimetres; `of` takes them.
+
+        Poses and references are in the order of measurement; a number that was not measured is an empty text.
+        """
         columns = self._columns_of_poses()
         known = self.references
         if known is None:

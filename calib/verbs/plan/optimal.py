@@ -175,6 +175,22 @@ def exchange(blocks: Array, basis: Basis, start: Indices, count: int = 0) -> tup
     return np.array(design, dtype=np.int_), least
 
 
+def gains(blocks: Array, basis: Basis) -> Array:
+    """Compute what each of n candidates gains by itself, beside what is known, shape (n,).
+
+    It is det(I + G) without a target, else what tr(T C) falls by; see the module's text.
+    """
+    C = np.linalg.inv(basis.known)
+    return _gains(blocks, C, None if basis.target is None else C @ basis.target @ C)
+
+
+def without_least(blocks: Array, basis: Basis, design: Indices) -> Indices:
+    """Return a design of two or more candidates without the one that is missed least."""
+    total = basis.known + information(blocks[design])
+    costs = [_cost(total - information(blocks[[k]]), basis) for k in design]
+    return np.delete(design, int(np.argmin(costs)))
+
+
 def _best_addition(blocks: Array, basis: Basis, design: list[int], *likely: int) -> int:
     """Return the index of the candidate outside a design that improves it most when it is added.
 

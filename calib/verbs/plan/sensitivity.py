@@ -156,37 +156,7 @@ def _stop_rows(
         tables.append(view.instrument.stop_rows(robot, names, groups[view.frame]))
     of_view = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
     rows = [np.flatnonzero(of_view == v) for v in range(len(tables))]
-    if len(tables) == 1:
-        return tables[0], rows
-
-    def stacked(name: str) -> Array | None:
-        """Return an array of all tables, one below the other; None if they have none."""
-        arrays = [getattr(table, name) for table in tables]
-        return None if arrays[0] is None else np.concatenate(arrays)
-
-    def words(name: str) -> tuple[str, ...]:
-        """Return the words of all tables, one after the other."""
-        return tuple(word for table in tables for word in getattr(table, name))
-
-    first = tables[0]
-    readings = {
-        name: np.concatenate([table.readings[name] for table in tables]) for name in first.readings
-    }
-    joined = Measurements(
-        joint_names=first.joint_names,
-        joints=np.concatenate([table.joints for table in tables]),
-        points=np.concatenate([table.points for table in tables]),
-        rotations=stacked("rotations"),
-        distances=stacked("distances"),
-        board_points=stacked("board_points"),
-        readings=readings,
-        targets=words("targets"),
-        groups=words("groups"),
-        kinds=words("kinds"),
-        corners=words("corners"),
-        prismatic=first.prismatic,
-    )
-    return joined, rows
+    return Measurements.joined(tables), rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

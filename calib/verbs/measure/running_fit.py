@@ -1,0 +1,179 @@
+"""The fit to the stops so far, and what it predicts of a stop that it has not seen.
+
+With the residual y of a new stop, its derivative A by the parameters and the noise N, the covariance of y is
+
+    S = N + A C A^T,
+
+C that of the parameters. The corners of a picture enter as the six numbers that they tell of the place of their board.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.basics.arrays import Array, Integers
+from calib.basics.values import Value, keep_read_only
+from calib.data.cell import AUTO, Cell
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError
+from calib.fit.estimate.fitting import Fitted, fit
+from calib.fit.estimate.problem import Problem
+from calib.fit.estimate.task import Task
+from calib.fit.registration.rows import Rows
+from calib.fit.registration.table_rows import rows_and_setup
+from calib.instruments.internals import with_starts
+from calib.model.internals import InternalValues
+from calib.model.kinematics import Sightings
+from calib.result.fewer_corners import with_fewer_corners
+from calib.robot.robot import Robot
+from calib.verbs.plan.sensitivity import PLANNED_FOR_AUTO
+
+#: A fit is registered anew until there are so many stops; then it begins where the last one ended.
+_REGISTERED = 8
+
+#: Singular values below this share of the largest are rounding.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction(Value):
+    """A stop compared with what a fit predicts of it: k numbers, in standard deviations of their noise."""
+
+    #: Shape (k,), measured minus predicted
+    y: Array
+    #: Shape (k, k), covariance of y if the stop is as good as the others
+    S: Array
+    #: Norm of measured minus predicted by unit, rms over the targets or corners [m], [rad], [px]
+    residual: Mapping[str, float]
+    #: Its usual size
+    usual: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies of the mappings."""
+        keep_read_only(self, "residual", "usual")
+
+    @property
+    def square(self) -> float:
+        """y^T S^-1 y over the number of its entries: 1 on average if the stop is as good as the others."""
+        return float(self.y @ np.linalg.solve(self.S, self.y)) / len(self.y)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunningFit(Value):
+    """A fit to some stops."""
+
+    #: The robot in its cell with the model that was fitted
+    fitted: Fitted
+    #: The rows of the stops
+    rows: Rows
+    #: Shape (N,), which stop each row is of, from 0
+    stops: Integers
+    #: The cell, with the intrinsics from which fits begin
+    cell: Cell
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        cell: Cell,
+        tables: Sequence[Measurements],
+        before: RunningFit | None = None,
+    ) -> RunningFit | None:
+        """Fit the model of a cell to stops, from where the last fit ended.
+
+        Args:
+            robot: The nominal robot.
+            cell: The cell; the model ``"auto"`` is ``"placement"``, the largest geometry.
+            tables: What was measured at each stop.
+            before: The last fit; None: there is none.
+
+        Returns:
+            The fit; None if the stops do not determine frames and targets.
+        """
+        if not tables:
+            return None
+        table, _ = with_fewer_corners(Measurements.joined(tables))
+        of_row = _stop_of_rows(tables)[np.array(table.rows) - 1] if len(tables) > 1 else None
+        stops = np.zeros(len(table), dtype=np.int_) if of_row is None else of_row
+        try:
+            rows, setup = rows_and_setup(robot, table, cell)
+            if cell.cameras:
+                cell = with_starts(cell, table, rows.samples.internals)
+            is_auto = cell.model == AUTO
+            name = PLANNED_FOR_AUTO if is_auto else cell.model
+            task = Task(robot, cell, setup, name, allow_absent=is_auto)
+            registered, near = None, ()
+            same = before is not None and before.fitted.setup.groups == setup.groups
+            if same and before is not None and before.fitted.setup.targets == setup.targets:
+                near = (before.fitted,)
+                registered = before.fitted.setup if len(tables) > _REGISTERED else None
+            return cls(fit(task, rows, registered=registered, near=near), rows, stops, cell)
+        except MeasurementError:
+            return None
+
+    def predict(self, table: Measurements) -> Prediction | None:
+        """Compare a stop with what the fit predicts; None if it has a frame or target that the fit has not."""
+        fitted, setup = self.fitted, self.fitted.setup
+        if not (set(table.groups) <= set(setup.groups) and set(table.targets) <= set(setup.targets)):
+            return None
+        rows, own = rows_and_setup(fitted.task.robot, table, self.cell)
+        frame = np.array([setup.groups.index(name) for name in own.groups])
+        target = np.array([setup.targets.index(name) for name in own.targets])
+        samples = replace(
+            rows.samples, frame=frame[rows.samples.frame], target=target[rows.samples.target]
+        )
+        rows = replace(rows, samples=samples)
+        estimate = fitted.estimate
+        linear = Problem.initial(fitted.kinematics, rows).linear(estimate.x)
+        noise = np.ones((len(rows), rows.width))
+        known = estimate.problem.rows
+        by_channel = {
+            (kind.name, unit): value
+            for kind, unit, value in zip(
+                known.channel_kinds, known.channels.units, estimate.noise, strict=True
+            )
+        }
+        for c, (kind, unit) in enumerate(
+            zip(rows.channel_kinds, rows.channels.units, strict=True)
+        ):
+            noise[rows.channels.index == c] = by_channel.get((kind.name, unit), estimate.noise[0])
+        used = rows.used
+        y = (linear.residual(estimate.x) / noise)[used]
+        A = (linear.A / noise[:, :, None])[used]
+        if rows.is_image.all():
+            reduce = self._of_board(rows, noise).T
+            y, A = reduce @ y, reduce @ A
+        S = np.eye(len(y)) + A @ estimate.covariance @ A.T
+        residual = rows.residual(fitted.kinematics.sightings(estimate.x, rows.samples))
+        square = float(np.trace(S)) / len(y)
+        by_unit: dict[str, float] = {}
+        usual: dict[str, float] = {}
+        for unit in rows.channels.present:
+            norms = rows.channels.norms(residual, unit)
+            measuring = rows.channels.where(unit)
+            by_unit[unit] = float(np.sqrt(np.nanmean(norms**2)))
+            scalars = measuring.sum(axis=1).max()
+            usual[unit] = float(estimate.sigma.get(unit, 0.0) * np.sqrt(scalars * square))
+        return Prediction(y, S, by_unit, usual)
+
+    def _of_board(self, rows: Rows, noise: Array) -> Array:
+        """Return an orthonormal basis of what a displacement of the boards does to their corners, (k, r)."""
+        fitted = self.fitted
+        seen = fitted.kinematics.linearised(fitted.estimate.x, rows.samples)
+        fixed = None if seen.internals is None else InternalValues.fixed(seen.internals.values)
+        motions = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
+        moved = Sightings(seen.T_frame_target, motions, fixed)
+        B = (rows.standardise(rows.derivative(moved)) / noise[:, :, None])[rows.used]
+        size = np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
+        U, singular, _ = np.linalg.svd(B / size, full_matrices=False)
+        return np.asarray(U[:, singular > _ROUNDING * singular[0]])
+
+
+def _stop_of_rows(tables: Sequence[Measurements]) -> Integers:
+    """Return the number of the stop of each row, from 0."""
+    return np.repeat(np.arange(len(tables)), [len(table) for table in tables])
+
+
