@@ -1,0 +1,1 @@
+"""Measure with calib: a session that proposes the next pose and says when the measurements suffice."""
