@@ -53,6 +53,7 @@ VERBS: dict[str, set[str]] = {
     "history": set(),
     "inspect": {"compensate", "plan"},
     "joints": {"compensate"},
+    "measure": set(),
     "plan": {"compensate", "view", "workspace"},
     "simulate": {"plan"},
     "view": {"evaluate"},
