@@ -55,6 +55,9 @@ if TYPE_CHECKING:
     from calib.verbs.history.history import History as History, history as history
     from calib.verbs.inspect.inspection import inspect as inspect
     from calib.verbs.joints.joint_table import joints as joints
+    from calib.verbs.measure.aim import Aim as Aim
+    from calib.verbs.measure.session import Session as Session
+    from calib.verbs.measure.stop import Row as Row
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
     from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
@@ -98,6 +101,9 @@ _NAMES = {
     "calib.verbs.joints.joint_table": "joints",
     "calib.verbs.fleet.fleet": "fleet",
     "calib.verbs.history.history": "History history",
+    "calib.verbs.measure.aim": "Aim",
+    "calib.verbs.measure.session": "Session",
+    "calib.verbs.measure.stop": "Row",
     "calib.verbs.plan.plan": "Plan plan",
     "calib.verbs.evaluate.acceptance": "Acceptance acceptance",
     "calib.verbs.calibrate.again": "Again again",

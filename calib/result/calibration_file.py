@@ -197,7 +197,7 @@ def _read_board(row: Json) -> Board:
     return Board(**arguments)
 
 
-def _cell_table(cell: Cell) -> dict[str, Any]:
+def cell_table(cell: Cell) -> dict[str, Any]:
     """Return a cell by the names of its fields, in SI units, without those that are as in the default cell."""
     default = _fields_table(Cell())
     return {name: entry for name, entry in _fields_table(cell).items() if entry != default[name]}
@@ -208,8 +208,8 @@ def _fields_table(cell: Cell) -> dict[str, Any]:
     return {field.name: plain(_LAYOUT.entry(getattr(cell, field.name))) for field in fields(cell)}
 
 
-def _read_cell(table: Json) -> Cell:
-    """Return a cell from its table, as `_cell_table` makes it."""
+def read_cell(table: Json) -> Cell:
+    """Return a cell from its table, as `cell_table` makes it."""
     return Cell(**_LAYOUT.values(Cell, table))
 
 
@@ -363,7 +363,7 @@ _LAYOUT: JsonLayout = JsonLayout(
     },
     {
         Board: (None, _read_board),
-        Cell: (_cell_table, _read_cell),
+        Cell: (cell_table, read_cell),
         Errors: (error_table, _read_errors),
         Factor: (lambda factor: factor.name, factor_of),
         Priors: (

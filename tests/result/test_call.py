@@ -15,7 +15,7 @@ from calib.boards.board_file import read_board
 from calib.camera.camera_file import read_camera
 from calib.data.cell import Cell, FurtherRobot, GroupDistance, Priors, Tracker
 from calib.example import franka_file
-from calib.result.calibration_file import _read_cell, call_table
+from calib.result.calibration_file import read_cell, call_table
 from calib.result.call import Call, file_hashes, split_name
 from calib.robot.gravity import Payload
 from tests.places import ROOT
@@ -77,7 +77,7 @@ def bits(value: Any) -> Any:
 @pytest.mark.parametrize("name", CELLS)
 def test_a_cell_is_read_back_to_the_last_bit(name: str):
     table = in_file(CELLS[name])
-    assert bits(_read_cell(table)) == bits(CELLS[name])
+    assert bits(read_cell(table)) == bits(CELLS[name])
 
 
 def test_what_a_cell_does_not_say_is_not_in_the_file():

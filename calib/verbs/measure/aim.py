@@ -34,7 +34,9 @@ class Aim(Value):
         if self.error is not None:
             check_number("error", self.error, 0.0)
             if not self.error > 0.0:
-                raise CalibError("The aim is an error above 0; give for example 0.00015, in metres.")
+                raise CalibError(
+                    "The aim is an error above 0; give for example 0.00015, in metres."
+                )
         check_whole("poses", self.poses, 3)
         if self.poses > MOST_POSES:
             raise CalibError(f"The aim is that of {self.poses} poses; give {MOST_POSES} or fewer.")

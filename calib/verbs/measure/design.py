@@ -30,7 +30,7 @@ from calib.verbs.plan.reachable import Ground
 from calib.verbs.plan.sensitivity import Sensitivity
 
 #: Candidates among which the design is exchanged at each row: those on which an optimal design relies most.
-_SHORT = 400
+_SHORT = 800
 
 #: The most poses that a session looks ahead.
 _AHEAD = 60
@@ -39,7 +39,7 @@ _AHEAD = 60
 _TELLING = 0.6
 
 #: A design that is not enough grows by this part of its poses at a time.
-_GROWN = 8
+_GROWN = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +128,9 @@ class Design(Value):
 
     def expected(self, total: Array, freedom: float) -> Expectation:
         """Return the expected error with some information (p, p) of rows and priors."""
-        return Expectation.of(np.linalg.inv(total), self.workspace.mean_square, freedom)
+        return Expectation.of(
+            np.asarray(np.linalg.inv(total), dtype=np.float64), self.workspace.mean_square, freedom
+        )
 
     def choose(
         self,
@@ -170,7 +172,9 @@ class Design(Value):
         while len(design) < most and expected(design).high > aim:
             count = min(len(design) + max(1, len(design) // _GROWN), most)
             design, _ = exchange(blocks, basis, design, count)
-        while len(design) > 1 and expected(fewer := without_least(blocks, basis, design)).high <= aim:
+        while (
+            len(design) > 1 and expected(fewer := without_least(blocks, basis, design)).high <= aim
+        ):
             design = fewer
         first = self._first(gains(blocks[design], basis), self.joints[free[design]], last)
         order = [first, *[k for k in range(len(design)) if k != first]]

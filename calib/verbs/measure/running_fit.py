@@ -26,7 +26,7 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.instruments.internals import with_starts
 from calib.model.internals import InternalValues
-from calib.model.kinematics import Sightings
+from calib.model.kinematics import Samples, Sightings
 from calib.result.fewer_corners import with_fewer_corners
 from calib.robot.robot import Robot
 from calib.verbs.plan.sensitivity import PLANNED_FOR_AUTO
@@ -105,7 +105,8 @@ class RunningFit(Value):
             is_auto = cell.model == AUTO
             name = PLANNED_FOR_AUTO if is_auto else cell.model
             task = Task(robot, cell, setup, name, allow_absent=is_auto)
-            registered, near = None, ()
+            registered = None
+            near: tuple[Fitted, ...] = ()
             same = before is not None and before.fitted.setup.groups == setup.groups
             if same and before is not None and before.fitted.setup.targets == setup.targets:
                 near = (before.fitted,)
@@ -114,18 +115,19 @@ class RunningFit(Value):
         except MeasurementError:
             return None
 
+    @property
+    def count(self) -> int:
+        """Number of stops."""
+        return int(self.stops.max()) + 1
+
     def predict(self, table: Measurements) -> Prediction | None:
         """Compare a stop with what the fit predicts; None if it has a frame or target that the fit has not."""
         fitted, setup = self.fitted, self.fitted.setup
-        if not (set(table.groups) <= set(setup.groups) and set(table.targets) <= set(setup.targets)):
+        if not (
+            set(table.groups) <= set(setup.groups) and set(table.targets) <= set(setup.targets)
+        ):
             return None
-        rows, own = rows_and_setup(fitted.task.robot, table, self.cell)
-        frame = np.array([setup.groups.index(name) for name in own.groups])
-        target = np.array([setup.targets.index(name) for name in own.targets])
-        samples = replace(
-            rows.samples, frame=frame[rows.samples.frame], target=target[rows.samples.target]
-        )
-        rows = replace(rows, samples=samples)
+        rows = self._rows(table)
         estimate = fitted.estimate
         linear = Problem.initial(fitted.kinematics, rows).linear(estimate.x)
         noise = np.ones((len(rows), rows.width))
@@ -136,9 +138,7 @@ class RunningFit(Value):
                 known.channel_kinds, known.channels.units, estimate.noise, strict=True
             )
         }
-        for c, (kind, unit) in enumerate(
-            zip(rows.channel_kinds, rows.channels.units, strict=True)
-        ):
+        for c, (kind, unit) in enumerate(zip(rows.channel_kinds, rows.channels.units, strict=True)):
             noise[rows.channels.index == c] = by_channel.get((kind.name, unit), estimate.noise[0])
         used = rows.used
         y = (linear.residual(estimate.x) / noise)[used]
@@ -159,6 +159,44 @@ class RunningFit(Value):
             usual[unit] = float(estimate.sigma.get(unit, 0.0) * np.sqrt(scalars * square))
         return Prediction(y, S, by_unit, usual)
 
+    def places(self, q: Array) -> Array:
+        """Predict where each target is at joint values (m,), in the measurement frame, shape (k, 3), [m]."""
+        setup = self.fitted.setup
+        k = len(setup.targets)
+        samples = Samples(np.tile(q, (k, 1)), np.zeros(k, dtype=np.int_), np.arange(k))
+        T = self.fitted.kinematics.poses(self.fitted.estimate.x, samples)
+        return np.asarray(T[:, :3, 3])
+
+    def distances(self, table: Measurements, q: Array) -> Array:
+        """Return how far readings are from what is predicted at other joint values, in standard deviations.
+
+        Args:
+            table: The readings of a stop.
+            q: Joint values of n poses, shape (n, m), [rad] or [m].
+
+        Returns:
+            Shape (n,), root of the mean square over the numbers of the stop.
+        """
+        rows = self._rows(table)
+        kinematics, x = self.fitted.kinematics, self.fitted.estimate.x
+        result = np.empty(len(q))
+        for k, pose in enumerate(q):
+            there = replace(rows.samples, q=np.tile(pose, (len(rows), 1)))
+            residual = rows.standardise(rows.residual(kinematics.sightings(x, there)))
+            result[k] = np.sqrt(np.mean(residual[rows.used] ** 2))
+        return result
+
+    def _rows(self, table: Measurements) -> Rows:
+        """Return the readings of a stop as rows with the numbers that frames and targets have in the fit."""
+        setup = self.fitted.setup
+        rows, own = rows_and_setup(self.fitted.task.robot, table, self.cell)
+        frame = np.array([setup.groups.index(name) for name in own.groups])
+        target = np.array([setup.targets.index(name) for name in own.targets])
+        samples = replace(
+            rows.samples, frame=frame[rows.samples.frame], target=target[rows.samples.target]
+        )
+        return replace(rows, samples=samples)
+
     def _of_board(self, rows: Rows, noise: Array) -> Array:
         """Return an orthonormal basis of what a displacement of the boards does to their corners, (k, r)."""
         fitted = self.fitted
@@ -175,5 +213,3 @@ class RunningFit(Value):
 def _stop_of_rows(tables: Sequence[Measurements]) -> Integers:
     """Return the number of the stop of each row, from 0."""
     return np.repeat(np.arange(len(tables)), [len(table) for table in tables])
-
-

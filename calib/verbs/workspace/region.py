@@ -92,6 +92,31 @@ class Region(Value):
         return one_line("Region", volume, voxels, f"{100.0 * self.held:.4g} % of the samples")
 
     @classmethod
+    def box(cls, low: ArrayLike, high: ArrayLike) -> Region:
+        """Make the region of a box along the axes of the base frame.
+
+        Args:
+            low: Its corner with the least x, y, z, shape (3,), [m].
+            high: The opposite corner, shape (3,), [m].
+
+        Returns:
+            Voxels that hold the box, and no more than a tenth of its shortest side beyond it.
+
+        Raises:
+            CalibError: A corner that is no position, or a side without a length.
+        """
+        first, last = vector(low, "low"), vector(high, "high")
+        sides = last - first
+        if not np.all(sides > 0.0):
+            raise CalibError(
+                f"The box from {first.tolist()} to {last.tolist()} m has no extent along an axis; 'low' has the least "
+                "x, y and z, 'high' the largest."
+            )
+        voxel = float(sides.min()) / 10.0
+        shape = np.ceil(sides / voxel - _WHOLE).astype(int)
+        return cls(first, voxel, np.ones(tuple(shape.tolist()), dtype=np.bool_), 1.0, 1.0)
+
+    @classmethod
     def of_points(
         cls, points: ArrayLike, share: float = 0.95, *, voxel: float | None = None
     ) -> Region:

@@ -5,7 +5,9 @@ It names the robot, base, tip, joints and target: in another base frame the same
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,13 +43,6 @@ def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bo
     for joint, (low, high) in zip(robot.inputs, view.ranges, strict=True):
         unit = "m" if joint.type == "prismatic" else "rad"
         joints.append({"name": joint.name, f"low_{unit}": low, f"high_{unit}": high})
-    # Lengths of runs of voxels outside, inside, outside, ... of the region, the last index varying fastest. The first
-    # run is outside, of length 0 if the first voxel is inside.
-    flat = region.cells.ravel()
-    changes = np.flatnonzero(np.diff(flat)) + 1
-    runs = np.diff([0, *changes, flat.size]).tolist()
-    if flat[0]:
-        runs.insert(0, 0)
     table = {
         "schema": SCHEMA,
         "calib": __version__,
@@ -60,15 +55,42 @@ def write_region(view: RegionView, path: str | Path, seed: int, *, overwrite: bo
         "target_xyz_m": view.target,
         "samples": view.density.samples,
         "seed": seed,
+        "volume_m3": region.volume,
+        **region_table(region),
+    }
+    return write_atomically(path, json_bytes(table), overwrite=overwrite)
+
+
+def region_table(region: Region) -> dict[str, Any]:
+    """Return the voxels of a region as JSON has them; `region_of_table` makes the same region of it."""
+    # Lengths of runs of voxels outside, inside, outside, ... of the region, the last index varying fastest. The first
+    # run is outside, of length 0 if the first voxel is inside.
+    flat = region.cells.ravel()
+    changes = np.flatnonzero(np.diff(flat)) + 1
+    runs = np.diff([0, *changes, flat.size]).tolist()
+    if flat[0]:
+        runs.insert(0, 0)
+    return {
         "share": region.share,
         "held": region.held,
-        "volume_m3": region.volume,
         "voxel_m": region.voxel,
         "origin_m": region.origin,
         "shape": region.cells.shape,
         "runs": runs,
     }
-    return write_atomically(path, json_bytes(table), overwrite=overwrite)
+
+
+def region_of_table(table: Mapping[str, Any]) -> Region:
+    """Return the region of a table that `region_table` made; one that is damaged raises what reading it raises."""
+    runs = np.asarray(table["runs"], dtype=np.int64)
+    is_inside = np.arange(len(runs)) % 2 == 1
+    return Region(
+        origin=read_only(table["origin_m"]).reshape(3),
+        voxel=float(table["voxel_m"]),
+        cells=np.repeat(is_inside, runs).reshape(table["shape"]),
+        share=float(table["share"]),
+        held=float(table["held"]),
+    )
 
 
 def read_region(
@@ -95,15 +117,7 @@ def read_region(
     )
     table = read_json(path, "region", SCHEMA, expected)
     try:
-        runs = np.asarray(table["runs"], dtype=np.int64)
-        is_inside = np.arange(len(runs)) % 2 == 1
-        region = Region(
-            origin=read_only(table["origin_m"]).reshape(3),
-            voxel=float(table["voxel_m"]),
-            cells=np.repeat(is_inside, runs).reshape(table["shape"]),
-            share=float(table["share"]),
-            held=float(table["held"]),
-        )
+        region = region_of_table(table)
         base, tip = table["robot"]["base"], table["robot"]["tip"]
         joints = [joint["name"] for joint in table["robot"]["joints"]]
         of_file = read_only(table["target_xyz_m"]).reshape(3)

@@ -1,0 +1,406 @@
+"""The course of a session: all stops so far, and what follows from them.
+
+A course is never changed: a stop that is added, taken back or skipped makes the next one. What a session keeps on disk
+are the stops with what was said of them, from which `Course.restored` makes the same course again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.basics.arrays import Array, Mask
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.model.families import FAMILIES
+from calib.numerics.moves import last_moves
+from calib.robot.robot import Robot
+from calib.verbs.measure.breaks import Break, cell_after, forgotten, relabelled
+from calib.verbs.measure.design import Choice, Design, Known
+from calib.verbs.measure.expectation import Expectation
+from calib.verbs.measure.moved import find_moved
+from calib.verbs.measure.row_check import History, RowCheck, check_row, is_same_again
+from calib.verbs.measure.running_fit import RunningFit
+from calib.verbs.measure.stop import SAME_POSE, Answer, Finding, Row, Stop
+from calib.verbs.plan.forecast import information
+
+#: What is known of the noise beforehand, in degrees of freedom: if the cell states it, and if it is assumed.
+_STATED = 100.0
+_ASSUMED = 4.0
+
+#: A stated noise that the rows contradict with this probability does not count.
+_CONTRADICTED = 0.01
+
+#: Least standard deviation of errors of a family, over the typical one: few stops may show none.
+_LEAST_ERRORS = 1.0 / 3.0
+
+#: Degrees of freedom from which on the sizes of errors are those of the fit.
+_ENOUGH_FREEDOM = 10.0
+
+#: How often a stop is measured again before the session goes on without it.
+_TRIES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class CurvePoint:
+    """Expected error after a stop [m]."""
+
+    #: Number of the stop
+    stop: int
+    #: Number of stops that count by then
+    stops: int
+    error: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """All stops of a session so far."""
+
+    robot: Robot
+    cell: Cell
+    design: Design
+    #: Error that shall hold [m]; None: as good as ``reference``
+    error: float | None
+    #: Shape (p, p), information of the random poses that the aim is as good as, with the noise as stated
+    reference: Array
+    #: All stops, in the order of their measurement
+    stops: tuple[Stop, ...] = ()
+    #: What has moved
+    breaks: tuple[Break, ...] = ()
+    #: The fit to the stops that count
+    fit: RunningFit | None = None
+    #: Candidates that were skipped
+    skipped: tuple[int, ...] = ()
+    #: The design of the row before
+    planned: tuple[int, ...] = ()
+    #: Expected error after each number of stops
+    curve: tuple[CurvePoint, ...] = ()
+
+    # What counts
+
+    @cached_property
+    def counted(self) -> tuple[Stop, ...]:
+        """The stops that count."""
+        return tuple(stop for stop in self.stops if stop.counts)
+
+    @cached_property
+    def history(self) -> History:
+        """How large the squares of good stops are."""
+        good = [stop.answer for stop in self.counted if stop.answer.outcome == "good"]
+        return History(
+            sum(answer.square * answer.numbers for answer in good),
+            float(sum(answer.numbers for answer in good)),
+        )
+
+    def tables(self) -> list[Measurements]:
+        """Return the readings of the stops that count, with names as of what has moved, and with their moves."""
+        moves = self.moves
+        result = []
+        for stop in self.counted:
+            table = relabelled(stop.row.readings, stop.number, self.breaks)
+            own = np.tile(moves[stop.number], (len(table), 1))
+            result.append(replace(table, moves=own))
+        return result
+
+    @cached_property
+    def moves(self) -> dict[int, Array]:
+        """The last move of each joint before each stop, by its number."""
+        if not self.stops:
+            return {}
+        straight = last_moves(np.array([stop.row.joints for stop in self.stops]))
+        return {
+            stop.number: move if stop.row.moves is None else stop.row.moves
+            for stop, move in zip(self.stops, straight, strict=True)
+        }
+
+    # What is known
+
+    @cached_property
+    def known(self) -> Known:
+        """What the stops so far tell of the parameters."""
+        sensitivity = self.design.sensitivity
+        noise, freedom = self._noise()
+        total = np.zeros((len(sensitivity.names),) * 2)
+        stops, start = self.counted, 0
+        ends = [*self.breaks, None]
+        for broken in ends:
+            last = len(stops)
+            if broken is not None:
+                last = next((i for i, s in enumerate(stops) if s.number >= broken.stop), last)
+            part = stops[start:last]
+            if part:
+                total = total + information(self._measured(part) / noise[:, None])
+            if broken is not None:
+                total = forgotten(total, sensitivity, broken)
+            start = max(start, last)
+        return Known(total, self._precision(), noise, freedom)
+
+    def _measured(self, stops: Sequence[Stop]) -> Array:
+        """Return the whitened derivatives of what was measured at some stops, (t, d, p), with the noise as stated."""
+        sensitivity = self.design.sensitivity
+        q = np.array([stop.row.joints for stop in stops])
+        moves = np.array([self.moves[stop.number] for stop in stops])
+        return sensitivity.measured(q, moves, self._seen(stops))
+
+    def _seen(self, stops: Sequence[Stop]) -> Mask | None:
+        """Return which views measured at some stops, (t, v); None with one view."""
+        sensitivity = self.design.sensitivity
+        if len(sensitivity.views) == 1:
+            return None
+        setup = sensitivity.setup
+        seen = np.zeros((len(stops), len(sensitivity.views)), dtype=np.bool_)
+        for i, stop in enumerate(stops):
+            table = stop.row.readings
+            there = set(zip(table.groups, table.targets, strict=True))
+            for v, view in enumerate(sensitivity.views):
+                names = {(setup.groups[view.frame], setup.targets[t]) for t in view.targets}
+                seen[i, v] = bool(names & there)
+        return seen
+
+    def _noise(self) -> tuple[Array, float]:
+        """Return the noise of the scalars at a stop over the stated one, (d,), and its degrees of freedom."""
+        sensitivity = self.design.sensitivity
+        cell = sensitivity.cell
+        q = self.design.joints[:50]
+        stated = sensitivity.sigma_by_unit(q)
+        factors = {}
+        estimate = None if self.fit is None else self.fit.fitted.estimate
+        own = 0.0 if estimate is None else max(estimate.freedom, 0.0)
+        freedom = np.inf
+        for unit, sigma in stated.items():
+            is_stated = unit in cell.sigma or (unit == "m" and cell.tracker is not None)
+            before = _STATED if is_stated else _ASSUMED
+            ratio = 1.0
+            if estimate is not None and unit in estimate.sigma and own > 0.0:
+                ratio = (estimate.sigma[unit] / sigma) ** 2
+            tail = chi2.cdf(own * ratio, own) if own > 0.0 else 0.5
+            if own >= _ENOUGH_FREEDOM and min(tail, 1.0 - tail) < _CONTRADICTED:
+                before = _ASSUMED if not is_stated else 0.0
+            square = (own * ratio + before) / (own + before)
+            factors[unit] = float(np.sqrt(square * self.history.factor))
+            freedom = min(freedom, own + before)
+        units = []
+        for view in sensitivity.views:
+            d = len(view.instrument.kind.units) * len(view.targets)
+            units.append([*view.instrument.kind.units] * len(view.targets) if d else [])
+        flat = [unit for of_view in units for unit in of_view]
+        columns = self.design.measured.shape[1]
+        if len(flat) != columns:  # of pictures a stop has as many numbers as tell of it
+            flat = [next(iter(stated))] * columns
+        assert set(flat) <= set(RESIDUAL_UNITS)
+        return np.array([factors.get(unit, 1.0) for unit in flat]), freedom
+
+    def _precision(self) -> Array:
+        """Return 1 / variance of each parameter before the rows: sizes of errors as the fit found them, if it could."""
+        sensitivity = self.design.sensitivity
+        if self.fit is None or self.fit.fitted.estimate.freedom < _ENOUGH_FREEDOM:
+            return sensitivity.precision
+        if sensitivity.cell.priors.source != "data":
+            return sensitivity.precision
+        precision = np.array(sensitivity.precision)
+        found = self.fit.fitted.estimate.prior_std
+        for k, parameter in enumerate(sensitivity.kinematics.model.parameters):
+            family = parameter.family
+            if family in found and parameter.name not in sensitivity.cell.parameter_priors:
+                least = _LEAST_ERRORS * FAMILIES[family].typical
+                precision[k] = 1.0 / max(found[family], least) ** 2
+        return precision
+
+    @cached_property
+    def expected(self) -> Expectation | None:
+        """The expected error of a calibration by the stops that count; None: there is no fit yet."""
+        if self.fit is None:
+            return None
+        return self.design.expected(self.known.total, self.known.freedom)
+
+    @cached_property
+    def aim(self) -> float:
+        """The error within which the calibration shall be [m]."""
+        if self.error is not None:
+            return self.error
+        known = self.known
+        scale = float(np.sqrt(np.mean(known.noise**2)))
+        total = self.reference / scale**2 + np.diag(known.precision)
+        return self.design.expected(total, known.freedom).high
+
+    @property
+    def reached(self) -> bool:
+        """Whether the aim is reached."""
+        return self.expected is not None and self.expected.high <= self.aim
+
+    # What is next
+
+    @property
+    def repeated(self) -> Stop | None:
+        """The stop that is to be measured again; None: there is none."""
+        if not self.stops or self.stops[-1].answer.outcome != "again" or self.stops[-1].counts:
+            return None
+        last = self.stops[-1]
+        return last if len(self._tries(last.row.joints)) < _TRIES else None
+
+    def _tries(self, joints: Array) -> list[Stop]:
+        """Return the last stops, one after the other, that are of one pose and do not count."""
+        tries: list[Stop] = []
+        for stop in reversed(self.stops):
+            if stop.counts or np.abs(stop.row.joints - joints).max() > SAME_POSE:
+                break
+            tries.append(stop)
+        return tries
+
+    @cached_property
+    def choice(self) -> Choice | None:
+        """The poses still to be measured, the next one first; None: no candidate is left."""
+        last = self.stops[-1].row.joints if self.stops else None
+        taken = [stop.row.joints for stop in self.counted]
+        left_out = [*self.skipped]
+        if taken and self.design.moves is None:
+            for q in taken:
+                same = np.abs(self.design.joints - q).max(axis=1) <= SAME_POSE
+                left_out += np.flatnonzero(same).tolist()
+        elif taken:
+            assert self.design.moves is not None
+            for stop in self.counted:
+                same = np.abs(self.design.joints - stop.row.joints).max(axis=1) <= SAME_POSE
+                side = np.sign(self.moves[stop.number])
+                same &= np.all(np.sign(self.design.moves) == side, axis=1)
+                left_out += np.flatnonzero(same).tolist()
+        return self.design.choose(self.known, self.aim, last, self.planned, left_out)
+
+    # What follows
+
+    def with_row(self, row: Row, proposed: Sequence[Array]) -> tuple[Course, Answer]:
+        """Add a stop, and say what it says.
+
+        Args:
+            row: What was measured.
+            proposed: Poses that were proposed last, shape (m,) each.
+        """
+        number = len(self.stops) + 1
+        before = None if self.expected is None else self.expected.high
+        table = relabelled(row.readings, number, self.breaks)
+        earlier = [
+            (stop.number, relabelled(stop.row.readings, stop.number, self.breaks))
+            for stop in self.stops
+        ]
+        rank = self.design.workspace.rank
+        check = check_row(
+            self.robot, self.fit, table, number, earlier, proposed, self.history, rank
+        )
+        accepted = not check.is_off
+        together: list[int] = []
+        if check.is_off:
+            together = self._agreeing(row, table, check)
+            accepted = bool(together)
+        outcome = "again" if not accepted else "good" if check.is_off is False else "unknown"
+        prediction = check.prediction
+        answer = Answer(
+            stop=number,
+            outcome=outcome,  # type: ignore[arg-type]
+            residual={} if prediction is None else prediction.residual,
+            usual={} if prediction is None else prediction.usual,
+            square=check.square,
+            numbers=0 if prediction is None else len(prediction.y),
+            findings=check.findings if not accepted else (),
+            before=before,
+            after=before,
+        )
+        stops = [
+            replace(stop, counts=True) if stop.number in together else stop for stop in self.stops
+        ]
+        course = replace(self, stops=(*stops, Stop(number, row, answer, accepted))).refitted()
+        if accepted:
+            course, found = course._with_breaks()
+            expected = course.expected
+            answer = replace(
+                answer,
+                findings=(*answer.findings, *found),
+                after=None if expected is None else expected.high,
+            )
+            course = course._with_answer(answer)
+        return course._on_curve(), answer
+
+    def _agreeing(self, row: Row, table: Measurements, check: RowCheck) -> list[int]:
+        """Return the numbers of the stops before that one which is off too agrees with: then both count."""
+        tries = self._tries(row.joints)
+        if not tries or self.fit is None or check.prediction is None:
+            return []
+        if any(finding.code in ("repeated", "not_there", "swapped") for finding in check.findings):
+            return []
+        agreeing = []
+        for stop in tries:
+            other = relabelled(stop.row.readings, stop.number, self.breaks)
+            same, _ = is_same_again(self.fit, other, table, self.history)
+            if same:
+                agreeing.append(stop.number)
+        return agreeing
+
+    def refitted(self) -> Course:
+        """Return the course with the fit to the stops that count."""
+        cell = cell_after(self.cell, self.breaks)
+        return replace(self, fit=RunningFit.of(self.robot, cell, self.tables(), self.fit))
+
+    def _with_breaks(self) -> tuple[Course, tuple[Finding, ...]]:
+        """Return the course with what has moved since a stop, and the findings that are new."""
+        if self.fit is None:
+            return self, ()
+        open_ = bool(self.breaks) and not self.breaks[-1].is_decided
+        without = self if not open_ else replace(self, breaks=self.breaks[:-1]).refitted()
+        if without.fit is None:
+            return self, ()
+        found = find_moved(without.fit, self.history.factor)
+        if not found:
+            return self, ()
+        numbers = [stop.number for stop in without.counted]
+        broken = Break.of(found, numbers)
+        if open_ and broken == self.breaks[-1]:
+            return self, ()
+        course = replace(without, breaks=(*without.breaks, broken)).refitted()
+        since = tuple(stop.number for stop in course.counted if stop.number >= broken.stop)
+        name = broken.target if broken.target is not None else broken.station
+        gain = {"gain": found[0].gain}
+        return course, (Finding(broken.code, since, gain, name or ""),)
+
+    def _with_answer(self, answer: Answer) -> Course:
+        """Return the course with the last stop's answer replaced."""
+        return replace(self, stops=(*self.stops[:-1], replace(self.stops[-1], answer=answer)))
+
+    def _on_curve(self) -> Course:
+        """Return the course with the expected error after its last stop."""
+        expected = self.expected
+        if expected is None:
+            return self
+        last = self.stops[-1].number
+        point = CurvePoint(last, len(self.counted), expected.error, expected.low, expected.high)
+        return replace(self, curve=(*self.curve, point))
+
+    def without_last(self) -> Course:
+        """Return the course without its last stop, and without what followed from it; it is not fitted yet."""
+        number = self.stops[-1].number
+        return replace(
+            self,
+            stops=self.stops[:-1],
+            breaks=tuple(broken for broken in self.breaks if broken.stop < number),
+            curve=tuple(point for point in self.curve if point.stop < number),
+            fit=None,
+        )
+
+    def with_skipped(self, candidate: int) -> Course:
+        """Return the course without a candidate, which cannot be reached."""
+        return replace(self, skipped=(*self.skipped, candidate))
+
+    @property
+    def outliers(self) -> tuple[int, ...]:
+        """Numbers of the stops that the fit finds far off by now, though they were accepted."""
+        if self.fit is None:
+            return ()
+        flagged = self.fit.fitted.estimate.outliers
+        stops = np.unique(self.fit.stops[flagged])
+        numbers = [stop.number for stop in self.counted]
+        return tuple(numbers[k] for k in stops.tolist())

@@ -1,0 +1,146 @@
+"""Has something moved since a stop? A target that was knocked, or a base or an instrument that stands elsewhere.
+
+At the solution of the fit, with whitened residuals r, the derivative A by the parameters and their priors P, a
+displacement u from stop k on adds E_k u to what is predicted. It lowers the weighted squares by
+
+    R_k = h^T (E_k^T E_k - D^T M^-1 D)^-1 h,    M = A^T A + P,  D = A^T E_k,  h = E_k^T r - D^T M^-1 g,
+
+g = A^T r less the pull of the priors. If nothing has moved, R_k / c follows F(c, nu) with the c numbers of u that show.
+Sums from stop k to the last one give all k at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import fdtri
+
+from calib.basics.values import Value
+from calib.model.kinematics import Kinematics
+from calib.model.parameter_sets import DIRECTIONS, error_model
+from calib.verbs.measure.running_fit import RunningFit
+
+#: Probability with which a session in which nothing moves says at a stop that something has.
+_FALSE_ALARM = 1e-4
+
+#: Degrees of freedom of the noise from which on a displacement can be told.
+_ENOUGH_FREEDOM = 6.0
+
+#: Squares by which one explanation has to be better than the other to be named alone.
+_DECIDED = 12.0
+
+#: Directions of a displacement that show less than this share of what shows best are not seen.
+_SEEN = 1e-6
+
+#: Of a displacement whose whole information is 1, directions with less than this beside the parameters do not show.
+_SHOWN = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved(Value):
+    """A displacement from a stop on."""
+
+    #: What has moved
+    what: Literal["target", "base"]
+    #: Name of the target, or of the station
+    name: str
+    #: Index of the first stop after it, from 0
+    first: int
+    #: By how much it lowers the weighted squares
+    gain: float
+    #: Number of its directions that show
+    numbers: int
+
+
+def find_moved(fit: RunningFit, factor: float) -> tuple[Moved, ...]:
+    """Find a displacement in the stops of a fit.
+
+    Args:
+        fit: The fit, to the stops in the order of their measurement.
+        factor: Mean square of stops that are good, see `calib.verbs.measure.row_check.History`.
+
+    Returns:
+        The likeliest explanation of each kind that is significant, the better first; () if nothing has moved. One
+        alone if it is better than the others by far.
+    """
+    freedom = fit.fitted.estimate.freedom
+    if freedom < _ENOUGH_FREEDOM:
+        return ()
+    found = []
+    for what, name, scan in _scans(fit):
+        for k, (gain, numbers) in enumerate(scan, start=1):
+            limit = fdtri(numbers, freedom, 1.0 - _FALSE_ALARM / len(scan)) if numbers else np.inf
+            if gain / factor > numbers * limit:
+                found.append(Moved(what, name, k, gain / factor, numbers))
+    if not found:
+        return ()
+    count = len(fit.rows)
+    # More numbers explain more: what each is worth by chance is taken off (G. Schwarz, 1978).
+    worth = {id(m): m.gain - m.numbers * np.log(max(count, 2)) for m in found}
+    best: dict[tuple[str, str], Moved] = {}
+    for moved in sorted(found, key=lambda m: -worth[id(m)]):
+        best.setdefault((moved.what, moved.name), moved)
+    ranked = sorted(best.values(), key=lambda m: -worth[id(m)])
+    least = worth[id(ranked[0])] - _DECIDED
+    return tuple(moved for moved in ranked if worth[id(moved)] >= least)
+
+
+def _scans(
+    fit: RunningFit,
+) -> Iterator[tuple[Literal["target", "base"], str, list[tuple[float, int]]]]:
+    """Yield each target and each station, and what its displacement from stop 1, 2, ... on gains, with its numbers."""
+    fitted, rows, stops = fit.fitted, fit.rows, fit.stops
+    setup, estimate = fitted.setup, fitted.estimate
+    problem = estimate.problem
+    linear = problem.linear(estimate.x)
+    noise = problem.noise_by_scalar
+    A = linear.A / noise[:, :, None]
+    r = linear.residual(estimate.x) / noise
+    pull = problem.prior_precision * (estimate.x - problem.prior_mean)
+    flat = A.reshape(-1, A.shape[2])
+    M = flat.T @ flat + np.diag(problem.prior_precision)
+    g = flat.T @ r.reshape(-1) - pull
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
+    inverse = scale[:, None] * np.linalg.inv(M * np.outer(scale, scale)) * scale
+
+    model = error_model(
+        fitted.task.robot,
+        "zeros",
+        frame=dict.fromkeys(setup.frame_unknowns, DIRECTIONS),
+        target=dict.fromkeys(setup.target_names, DIRECTIONS),
+        targets=setup.target_names,
+    )
+    displaced = Kinematics(
+        fitted.task.robot, model, setup.T_frame_base, setup.T_tip_target
+    ).linearised(np.zeros(len(model)), rows.samples)
+    by_displacement = rows.standardise(rows.derivative(displaced)) / noise[:, :, None]
+    by_displacement = np.where(rows.used[:, :, None], by_displacement, 0.0)
+    count = fit.count
+    frames, targets = setup.places
+    places = [("target", name, place) for name, place in zip(setup.targets, targets, strict=True)]
+    places += [("base", name, place) for name, place in zip(setup.groups, frames, strict=True)]
+    for what, name, place in places:
+        columns = [k for k, parameter in enumerate(model.parameters) if parameter.place == place]
+        E = by_displacement[:, :, columns]
+        size = np.sqrt(np.sum(E**2, axis=(0, 1)))
+        E = E[:, :, size > _SEEN * size.max()] / size[size > _SEEN * size.max()]
+        c = E.shape[2]
+        EE, AE, Er = np.zeros((count, c, c)), np.zeros((count, len(M), c)), np.zeros((count, c))
+        for stop in range(count):
+            of_stop = stops == stop
+            e, a = E[of_stop].reshape(-1, c), A[of_stop].reshape(-1, len(M))
+            EE[stop], AE[stop] = e.T @ e, a.T @ e
+            Er[stop] = e.T @ r[of_stop].reshape(-1)
+        scan = []
+        for k in range(1, count):
+            D = AE[k:].sum(axis=0)
+            h = Er[k:].sum(axis=0) - D.T @ inverse @ g
+            S = EE[k:].sum(axis=0) - D.T @ inverse @ D
+            values, vectors = np.linalg.eigh(S)
+            seen = values > _SHOWN
+            along = vectors[:, seen].T @ h
+            scan.append((float(np.sum(along**2 / values[seen])), int(seen.sum())))
+        yield what, name, scan  # type: ignore[misc]

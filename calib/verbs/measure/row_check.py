@@ -1,0 +1,299 @@
+"""Check of a stop as it is measured: does it fit what the stops before it let expect, and if not, why not?
+
+The square of its deviation, y^T S^-1 y / k, follows F(k, nu), where nu numbers of earlier stops tell how large such
+squares are in this session. One that does not is compared with what the usual mistakes would have given: the reading of
+another pose, a joint that is elsewhere, coordinates or targets in another order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtrc, fdtri
+
+from calib.basics.arrays import Array
+from calib.basics.values import Value
+from calib.data.measurements import Measurements
+from calib.robot.robot import Robot
+from calib.verbs.measure.running_fit import Prediction, RunningFit
+from calib.verbs.measure.stop import SAME_POSE, Finding
+
+#: Probability that a good stop is to be measured again.
+FALSE_ALARM = 1e-3
+
+#: What is known beforehand of how large squares are, in numbers of earlier stops.
+_KNOWN_BEFORE = 6.0
+
+#: Squares that are as large with this probability are so by chance.
+_BY_CHANCE = 1e-3
+
+#: Degrees of freedom of the fit's noise from which on its predictions are exact enough for the test.
+_ENOUGH_FREEDOM = 6.0
+
+#: Deviation of a reading from what a fit to a few stops predicts, or the nominal robot, that no calibration explains.
+_ROUGH_LENGTH = 20e-3
+_ROUGH_ANGLE = np.deg2rad(5.0)
+
+#: Two readings this close together are of one pose if the robot had moved by more than ten times as much [m].
+_SAME_PLACE = 0.5e-3
+
+#: Largest change of a single joint that is looked for, its first steps, and the least that is no noise [rad or m].
+_JOINT_OFF = 0.6
+_JOINT_STEP = 0.03
+_LEAST_JOINT = 2e-3
+
+#: Deviations of this many times the limit are no accident if they are the same when the stop is measured again.
+_CERTAIN = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History(Value):
+    """Squares of the stops that were found good: how large they are in this session."""
+
+    #: Sum of the squares times the numbers of each
+    total: float = 0.0
+    #: Sum of the numbers
+    numbers: float = 0.0
+
+    @property
+    def factor(self) -> float:
+        """Mean square of this session's stops if it is more than chance explains, else 1."""
+        if not self.numbers or chdtrc(self.numbers, self.total) > _BY_CHANCE:
+            return 1.0
+        return self.total / self.numbers
+
+    def limit(self, numbers: int) -> float:
+        """Return the square, over the factor, above which a stop of so many numbers is not as good as the others."""
+        return float(fdtri(numbers, self.numbers + _KNOWN_BEFORE, 1.0 - FALSE_ALARM))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowCheck(Value):
+    """A stop compared with what is expected."""
+
+    #: Compared with the fit; None: there is none yet
+    prediction: Prediction | None
+    #: Its square, see `Prediction.square`; NaN: not known
+    square: float
+    #: Above this square it is off
+    limit: float
+    #: Whether it is off; None: too little is known to say
+    is_off: bool | None
+    #: What may be wrong
+    findings: tuple[Finding, ...]
+
+
+def check_row(
+    robot: Robot,
+    fit: RunningFit | None,
+    table: Measurements,
+    number: int,
+    before: Sequence[tuple[int, Measurements]],
+    proposed: Sequence[Array],
+    history: History,
+    rank: int,
+) -> RowCheck:
+    """Compare a stop with what the stops before it let expect.
+
+    Args:
+        robot: The nominal robot.
+        fit: The fit to the stops before; None: too few.
+        table: The readings of the stop.
+        number: Its number.
+        before: Numbers and readings of the stops before it, also of those that do not count.
+        proposed: Joint values of poses that were proposed and not measured, shape (m,) each [rad] or [m].
+        history: How large squares are in this session.
+        rank: Number of parameters that stops can determine: with fewer numbers a prediction is not exact.
+    """
+    prediction = None if fit is None else fit.predict(table)
+    repeated = _same_reading(table, before)
+    if prediction is None or fit is None:
+        findings = repeated or [*_rough(robot, table, number, before)]
+        return RowCheck(None, np.nan, np.nan, True if findings else None, tuple(findings))
+    square = prediction.square
+    limit = history.limit(len(prediction.y)) * history.factor
+    known = fit.fitted.estimate.freedom >= _ENOUGH_FREEDOM and fit.count * len(prediction.y) >= rank
+    is_off = square > limit
+    if not known:
+        is_off = is_off and _is_far(prediction)
+    if repeated:
+        return RowCheck(prediction, square, limit, True, tuple(repeated))
+    if not is_off:
+        return RowCheck(prediction, square, limit, False if known else None, ())
+    finding = _explained(robot, fit, table, number, before, proposed, history)
+    return RowCheck(prediction, square, limit, True, (finding,))
+
+
+def is_same_again(
+    fit: RunningFit, first: Measurements, second: Measurements, history: History
+) -> tuple[bool, bool]:
+    """Return whether two readings of one pose agree with each other, and whether their deviation is no accident."""
+    one, other = fit.predict(first), fit.predict(second)
+    if one is None or other is None or len(one.y) != len(other.y):
+        return False, False
+    # The prediction is the same for both: their difference has the noise of two readings.
+    apart = float(np.sum((one.y - other.y) ** 2)) / (2.0 * len(one.y)) / history.factor
+    limit = history.limit(len(one.y))
+    return apart <= limit, other.square / history.factor > _CERTAIN * limit
+
+
+def _is_far(prediction: Prediction) -> bool:
+    """Return whether a deviation is beyond what a fit to very few stops may be off by."""
+    residual, usual = prediction.residual, prediction.usual
+    return residual.get("m", 0.0) > _ROUGH_LENGTH + 6.0 * usual.get("m", 0.0) or residual.get(
+        "rad", 0.0
+    ) > _ROUGH_ANGLE + 6.0 * usual.get("rad", 0.0)
+
+
+def _same_reading(table: Measurements, before: Sequence[tuple[int, Measurements]]) -> list[Finding]:
+    """Return the finding that a reading is that of an earlier stop to the last digit, though the joints have moved."""
+    for number, other in reversed(before):
+        if len(other) != len(table) or other.targets != table.targets:
+            continue
+        if np.abs(other.joints[0] - table.joints[0]).max() <= SAME_POSE:
+            continue
+        pairs = [
+            (getattr(table, name), getattr(other, name))
+            for name in ("points", "rotations", "distances")
+        ]
+        pairs += [(values, other.readings.get(name)) for name, values in table.readings.items()]
+        given = [
+            (a, b) for a, b in pairs if a is not None and b is not None and np.isfinite(a).any()
+        ]
+        if given and all(np.array_equal(a, b, equal_nan=True) for a, b in given):
+            return [Finding("repeated", (number,), {"stop": float(number)})]
+    return []
+
+
+def _rough(
+    robot: Robot, table: Measurements, number: int, before: Sequence[tuple[int, Measurements]]
+) -> Iterator[Finding]:
+    """Yield what distances between the positions of the first stops say, by those of the nominal robot."""
+    if not table.positions.all() or robot.branches:
+        return
+    here = robot.poses(table.joints[:1])[0, :3, 3]
+    off = []
+    for stop, other in before:
+        if not other.positions.all() or other.targets[0] != table.targets[0]:
+            continue
+        measured = float(np.linalg.norm(table.points[0] - other.points[0]))
+        # The target may be a lever away from the tip: its own motion is not known better.
+        moved = float(np.linalg.norm(here - robot.poses(other.joints[:1])[0, :3, 3]))
+        turned = robot.poses(np.stack([table.joints[0], other.joints[0]]))[:, :3, :3]
+        angle = np.arccos(np.clip((np.trace(turned[0].T @ turned[1]) - 1.0) / 2.0, -1.0, 1.0))
+        if measured < _SAME_PLACE and moved > 10.0 * _SAME_PLACE + 0.3 * angle:
+            yield Finding("repeated", (number,), {"stop": float(stop)})
+            return
+        off.append(abs(measured - moved) - 0.5 * angle)
+    if off and min(off) > _ROUGH_LENGTH:
+        yield Finding("gross", (number,), {"off_m": float(min(off))})
+
+
+def _explained(
+    robot: Robot,
+    fit: RunningFit,
+    table: Measurements,
+    number: int,
+    before: Sequence[tuple[int, Measurements]],
+    proposed: Sequence[Array],
+    history: History,
+) -> Finding:
+    """Return the mistake that explains a reading that is off; a gross reading if none does."""
+
+    def fits(other: Measurements, taken: int = 0) -> bool:
+        """Return whether a changed reading is as good as others, with so many numbers taken by the change."""
+        prediction = fit.predict(other)
+        if prediction is None:
+            return False
+        k = len(prediction.y)
+        square = prediction.square * k / max(k - taken, 1) / history.factor
+        return square <= history.limit(max(k - taken, 1))
+
+    for stop, q in _nearest(fit, table, [(n, other.joints[0]) for n, other in before]):
+        if fits(_at(table, q)):
+            return Finding("repeated", (number,), {"stop": float(stop)})
+    for _, q in _nearest(fit, table, [(0, q) for q in proposed]):
+        if fits(_at(table, q)):
+            return Finding("not_there", (number,), {"stop": 0.0})
+    for other, name in _swapped(table):
+        if fits(other):
+            return Finding("swapped", (number,), name=name)
+    moved = _joint_that_is_off(fit, table)
+    if moved is not None:
+        joint, change = moved
+        q = table.joints[0].copy()
+        q[joint] += change
+        if fits(_at(table, q), taken=1):
+            name = robot.joint_names[joint]
+            return Finding("not_there", (number,), {"change": change}, name)
+    prediction = fit.predict(table)
+    off = (
+        {} if prediction is None else {f"off_{unit}": v for unit, v in prediction.residual.items()}
+    )
+    return Finding("gross", (number,), off)
+
+
+def _at(table: Measurements, q: Array) -> Measurements:
+    """Return readings as if the robot had stood at other joint values, shape (m,)."""
+    return replace(table, joints=np.tile(q, (len(table), 1)), moves=None)
+
+
+def _nearest(
+    fit: RunningFit, table: Measurements, poses: Sequence[tuple[int, Array]], count: int = 3
+) -> list[tuple[int, Array]]:
+    """Return those of some poses, with their stops, whose predictions are nearest to a reading."""
+    here = table.joints[0]
+    others = [(stop, q) for stop, q in poses if np.abs(q - here).max() > SAME_POSE]
+    if not others:
+        return []
+    distance = fit.distances(table, np.array([q for _, q in others]))
+    return [others[k] for k in np.argsort(distance)[:count]]
+
+
+def _swapped(table: Measurements) -> Iterator[tuple[Measurements, str]]:
+    """Yield readings with coordinates or targets in another order, and what was taken for what."""
+    if table.positions.all():
+        for order in permutations(range(3)):
+            if order != (0, 1, 2):
+                yield (
+                    replace(table, points=table.points[:, order]),
+                    "".join("xyz"[k] for k in order),
+                )
+    names = list(dict.fromkeys(table.targets))
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            other = {first: second, second: first}
+            targets = tuple(other.get(name, name) for name in table.targets)
+            yield replace(table, targets=targets), f"{first}, {second}"
+
+
+def _joint_that_is_off(fit: RunningFit, table: Measurements) -> tuple[int, float] | None:
+    """Return the joint, and by how much it would have to be elsewhere, that explains a reading best; None if none."""
+    q = table.joints[0]
+    steps = np.arange(-_JOINT_OFF, _JOINT_OFF + 1e-9, _JOINT_STEP)
+    m = len(q)
+    trials = np.repeat(q[None], m * len(steps), axis=0)
+    for joint in range(m):
+        trials[joint * len(steps) : (joint + 1) * len(steps), joint] += steps
+    distance = fit.distances(table, trials).reshape(m, -1)
+    best: tuple[float, int, float] | None = None
+    for joint in np.argsort(distance.min(axis=1))[:2].tolist():
+        start = float(steps[np.argmin(distance[joint])])
+
+        def off_by(change: float, joint: int = joint) -> float:
+            """Return how far the reading is from what a changed joint would give."""
+            trial = q.copy()
+            trial[joint] += change
+            return float(fit.distances(table, trial[None])[0])
+
+        ends = (start - _JOINT_STEP, start + _JOINT_STEP)
+        found = minimize_scalar(off_by, bounds=ends, method="bounded", options={"xatol": 1e-6})
+        if best is None or found.fun < best[0]:
+            best = float(found.fun), joint, float(found.x)
+    if best is None or abs(best[2]) < _LEAST_JOINT:
+        return None
+    return best[1], best[2]

@@ -1,0 +1,637 @@
+"""Session: a calibration that is being measured, one stop after the other.
+
+It proposes the pose that tells most, says of each stop at once whether it is good, and when it is enough. Everything is
+in its folder: an append-only journal, from which `Session.open` goes on wherever it ended, and the table of the stops
+that count.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from calib.basics.arguments import check_callable, check_flags, check_path, check_type, check_whole
+from calib.basics.arrays import Array
+from calib.basics.dates import date_text, now
+from calib.basics.jobs import Progress, one_blas_thread
+from calib.data.cell import Cell
+from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
+from calib.data.measurements import Measurements
+from calib.errors import FileError, MeasurementError, ModelError
+from calib.result.calibrate import calibrate
+from calib.result.calibration import Calibration
+from calib.robot.robot import Robot
+from calib.verbs.measure.aim import Aim
+from calib.verbs.measure.breaks import Break, cell_after
+from calib.verbs.measure.course import Course, CurvePoint
+from calib.verbs.measure.design import Design
+from calib.verbs.measure.journal import Journal
+from calib.verbs.measure.settings import JOURNAL, PICTURES, TABLE, Settings, cell_of_robot
+from calib.verbs.measure.state import NextPose, State, state_of
+from calib.verbs.measure.stop import Answer, Finding, Row, Stop
+from calib.verbs.plan.choice import PlanRequest
+from calib.verbs.plan.collision import CollisionCheck
+from calib.verbs.plan.forecast import information
+from calib.verbs.plan.pose_candidates import rounded
+from calib.verbs.plan.reachable import check_placed, reachable
+from calib.verbs.plan.sensitivity import Sensitivity
+
+#: Candidates of a session; of pictures as many as a plan has.
+_CANDIDATES = 6000
+
+#: Draws of random poses, whose median the aim is as good as.
+_DRAWS = 9
+
+_USUAL_AIM = Aim()
+
+
+class Session:
+    """A calibration that is being measured.
+
+    Example:
+        >>> session = calib.Session.start("session", "ur3", cell, calib.Aim(error=1e-4))
+        >>> while not session.state.reached:
+        ...     pose = session.next()
+        ...     answer = session.add(measured(pose.joints))
+        >>> result = session.calibrate()
+    """
+
+    def __init__(self, folder: Path, settings: Settings, journal: Journal, course: Course) -> None:
+        """Make a session; use `start` or `open`."""
+        self.folder = folder
+        self._settings = settings
+        self._journal = journal
+        self._course = course
+        self._proposed: NextPose | None = None
+        self._answers: dict[str, Answer] = {}
+        # The threads of a server add one after the other.
+        self._lock = threading.RLock()
+
+    @classmethod
+    @one_blas_thread()
+    def start(
+        cls,
+        folder: str | Path,
+        robot: RobotInput,
+        cell: CellInput = None,
+        aim: Aim = _USUAL_AIM,
+        *,
+        collisions: bool = True,
+        start: Sequence[float] = (),
+        seed: int = 0,
+        progress: Progress | None = None,
+    ) -> Session:
+        """Start a session in a folder.
+
+        Args:
+            folder: The folder; it is made if it does not exist, and has no session yet.
+            robot: The nominal robot; or the path of its URDF, xacro, MJCF or DH rows, or a name such as ``"ur3"``, with
+                the cell's links.
+            cell: What is known of instrument, targets, frames and surroundings, as for `calib.plan`; or the path of a
+                cell file; None: the default cell. The model ``"auto"`` is measured for as ``"placement"``.
+            aim: How accurate the robot is to be, and where.
+            collisions: Whether poses and ways are checked for collisions.
+            start: Joint values before the first pose, shape (m,), [rad] or [m]; (): any pose may be the first.
+            seed: Of the candidates: the same seed proposes the same poses.
+            progress: Called with the number of candidates so far, and that wanted; None: nothing is called.
+
+        Returns:
+            The session, without stops.
+
+        Raises:
+            ArgumentError: An argument of another type.
+            CalibError: A cell that cannot be planned for, or no pose that can be measured.
+            FileError: The folder has a session, or cannot be written.
+        """
+        check_path("folder", folder)
+        check_type("aim", aim, Aim, "an Aim")
+        check_flags(collisions=collisions)
+        check_whole("seed", seed, 0)
+        check_callable("progress", progress)
+        place = Path(folder)
+        known = cell_of(cell)
+        arm = robot_of(robot, known)
+        known = cell_of_robot(known, arm)
+        at = (
+            tuple(arm.columns(np.asarray(start, dtype=np.float64), "start")[0])
+            if len(start)
+            else ()
+        )
+        settings = Settings(arm, known, aim, seed, collisions, at)
+        course = _course_of(settings, progress)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FileError(f"'{place}' cannot be made: {error.strerror}.") from error
+        if (place / TABLE).exists():
+            raise FileError(f"'{place / TABLE}' exists: choose another folder for the session.")
+        journal = Journal.create(place / JOURNAL)
+        try:
+            settings.write(place, _name_of(robot))
+        except BaseException:
+            journal.close()
+            (place / JOURNAL).unlink(missing_ok=True)
+            raise
+        return cls(place, settings, journal, course)
+
+    @classmethod
+    @one_blas_thread()
+    def open(cls, folder: str | Path, *, progress: Progress | None = None) -> Session:
+        """Go on with the session of a folder.
+
+        Args:
+            folder: The folder.
+            progress: As of `start`.
+
+        Returns:
+            The session with all stops that were added.
+
+        Raises:
+            FileError: The folder has no session, another process has it open, or a file is damaged.
+        """
+        check_path("folder", folder)
+        place = Path(folder)
+        journal = Journal.open(place / JOURNAL)
+        try:
+            settings = Settings.read(place)
+            session = cls(place, settings, journal, _course_of(settings, progress))
+            session._replay()
+        except BaseException:
+            journal.close()
+            raise
+        return session
+
+    def __repr__(self) -> str:
+        """Return one line: the folder, the robot, and how many stops there are."""
+        robot = self.robot
+        return (
+            f"Session('{self.folder}', '{robot.name}', {robot.base} to {robot.tip}, "
+            f"{len(self._course.counted)} stops)"
+        )
+
+    def __enter__(self) -> Session:
+        """Return the session."""
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _traceback: TracebackType | None,
+    ) -> None:
+        """Close the session."""
+        self.close()
+
+    def close(self) -> None:
+        """Give the folder free for another process; the session is over here."""
+        self._journal.close()
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal robot."""
+        return self._settings.robot
+
+    @property
+    def cell(self) -> Cell:
+        """The cell, with what has moved as further targets and stations: `measurements` belong to it."""
+        return cell_after(self._settings.cell, self._course.breaks)
+
+    @property
+    def aim(self) -> Aim:
+        """How accurate the robot is to be, and where."""
+        return self._settings.aim
+
+    @property
+    def torn(self) -> str:
+        """What a program that was ended left unfinished at the end of the journal, and was dropped; mostly empty."""
+        return self._journal.torn
+
+    @property
+    def stops(self) -> tuple[Stop, ...]:
+        """All stops, also those that do not count."""
+        return self._course.stops
+
+    @property
+    def events(self) -> tuple[Mapping[str, Any], ...]:
+        """All that happened, as the journal has it: rows, answers, undo, notes."""
+        return self._journal.events
+
+    @property
+    def state(self) -> State:
+        """What is known after the stops so far."""
+        with self._lock, one_blas_thread():
+            return state_of(self._course)
+
+    @property
+    def measurements(self) -> Measurements:
+        """The stops that count, as a table; `cell` belongs to it.
+
+        Raises:
+            MeasurementError: There is none yet.
+        """
+        tables = self._course.tables()
+        if not tables:
+            raise MeasurementError(
+                "The session has no stop that counts yet: measure the next pose."
+            )
+        return Measurements.joined(tables)
+
+    def next(self) -> NextPose | None:
+        """Return the pose to measure next; None if no candidate is left.
+
+        It is the same until a row is added, taken back or skipped.
+        """
+        with self._lock, one_blas_thread():
+            if self._proposed is None:
+                self._proposed = self._propose()
+            return self._proposed
+
+    def add(self, row: Row | Mapping[str, Any], *, key: str = "") -> Answer:
+        """Add what was measured at a stop, and say what it says.
+
+        Args:
+            row: Joint values and readings. Or columns by their headers, as a table has them,
+                ``{"x [mm]": 812.3, "y [mm]": ..., "joint_1 [deg]": ...}``, lists of several targets or corners: without
+                joint values it was measured at the pose of `next`.
+            key: Names this row: one that was added already is not added again, and its answer is returned.
+
+        Returns:
+            Whether it counts, how far it is from what was expected, what may be wrong, and the expected error.
+
+        Raises:
+            MeasurementError: Readings that do not fit the cell, or of several poses.
+            FileError: It cannot be kept; nothing was added.
+        """
+        with self._lock, one_blas_thread():
+            if key and key in self._answers:
+                return self._answers[key]
+            stop = self._row_of(row)
+            proposed = self._proposed
+            event = {
+                "event": "row",
+                "time": date_text(now()),
+                "key": key,
+                "columns": stop.readings.columns(),
+                "moves": stop.moves,
+                "proposed": None if proposed is None else proposed.joints,
+            }
+            self._journal.append(event)
+            return self._added(stop, key, [] if proposed is None else [proposed.joints])
+
+    def undo(self, note: str = "") -> int | None:
+        """Take the last stop back.
+
+        Args:
+            note: Why.
+
+        Returns:
+            Its number, which the next stop has again; None if there is none.
+        """
+        with self._lock, one_blas_thread():
+            if not self._course.stops:
+                return None
+            number = self._course.stops[-1].number
+            self._journal.append(
+                {"event": "undo", "time": date_text(now()), "stop": number, "note": note}
+            )
+            self._course = self._course.without_last().refitted()
+            self._forget(number)
+            self._proposed = None
+            self._write_table()
+            return number
+
+    def skip(self, note: str = "") -> None:
+        """Leave out the proposed pose, which cannot be reached: another is proposed.
+
+        Args:
+            note: Why.
+        """
+        with self._lock, one_blas_thread():
+            pose = self.next()
+            if pose is None:
+                return
+            event = {"event": "skip", "time": date_text(now()), "joints": pose.joints, "note": note}
+            self._journal.append(event)
+            self._course = self._course.with_skipped(_nearest(self._course, pose.joints))
+            self._proposed = None
+
+    def note(self, text: str) -> None:
+        """Write a note into the journal."""
+        self._journal.append({"event": "note", "time": date_text(now()), "note": text})
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The notes, also those of stops that were taken back or skipped."""
+        return tuple(str(event["note"]) for event in self._journal.events if event.get("note"))
+
+    def calibrate(self, progress: Progress | None = None) -> Calibration:
+        """Calibrate the robot by the stops that count, as `calib.calibrate` does.
+
+        Args:
+            progress: As of `calib.calibrate`.
+
+        Returns:
+            The calibration, with its verdict.
+
+        Raises:
+            CalibError: As of `calib.calibrate`.
+        """
+        return calibrate(self.robot, self.measurements, cell=self.cell, progress=progress)
+
+    # Inside
+
+    def _propose(self) -> NextPose | None:
+        """Return the next pose."""
+        course = self._course
+        sensitivity = course.design.sensitivity
+        last = course.stops[-1].row.joints if course.stops else None
+        if last is None and self._settings.start:
+            last = np.array(self._settings.start)
+        again = course.repeated
+        if again is not None:
+            q, via, why, error = again.row.joints, _via(again.row), "again", None
+            number: int | None = again.number
+        else:
+            choice = course.choice
+            if choice is None:
+                return None
+            candidate = choice.design[0]
+            self._course = course = replace(course, planned=choice.design)
+            moves = course.design.moves
+            q = course.design.joints[candidate]
+            via = None if moves is None else rounded(self.robot, q - moves[candidate])
+            why, number = "information", None
+            error = None if course.fit is None else choice.after_next.high
+        return NextPose(
+            joints=q,
+            via=via,
+            expected=self._expected(q),
+            targets=tuple(target for _, target in sensitivity.sights),
+            error=error,
+            why=why,  # type: ignore[arg-type]
+            stop=number,
+            travel=0.0 if last is None else float(np.abs(q - last).max()),
+        )
+
+    def _expected(self, q: Array) -> Array:
+        """Predict where each target will be in the measurement frame, shape (k, 3), [m]."""
+        course = self._course
+        if course.fit is None or course.fit.rows.samples.internals is not None or course.breaks:
+            return np.asarray(course.design.sensitivity.expected(q[None])[0])
+        return course.fit.places(q)
+
+    def _row_of(self, row: Row | Mapping[str, Any]) -> Row:
+        """Return a row as the session keeps it: columns in the robot's order, the pose of `next` if none is given."""
+        names = self.robot.joint_names
+        via = None if self._proposed is None else self._proposed.via
+        if isinstance(row, Row):
+            readings, moves = row.readings, row.moves
+            columns: Mapping[str, Any] = readings.columns()
+            if len(readings.joint_names) == 0 or readings.joint_names != names:
+                columns = {**_joint_columns(self.robot, row.joints, len(readings)), **columns}
+        else:
+            columns = {
+                name: value if isinstance(value, (list, tuple)) else [value]
+                for name, value in row.items()
+            }
+            moves = None
+            count = max(len(value) for value in columns.values())
+            has_joints = any(name.split(" [")[0] in names for name in columns)
+            if not has_joints:
+                pose = self.next()
+                if pose is None:
+                    raise MeasurementError(
+                        "No pose was proposed: give the joint values of the row."
+                    )
+                columns = {**_joint_columns(self.robot, pose.joints, count), **columns}
+        columns = {name: values for name, values in columns.items() if name not in ("row", "set")}
+        table = self._table_of(columns)
+        if table.images and any(table.images):
+            number = len(self._course.stops) + 1
+            table = replace(table, images=tuple(f"{number:03d} {image}" for image in table.images))
+        if moves is None and via is not None and self._proposed is not None:
+            moves = self._proposed.joints - via
+        self._check_names(table)
+        return Row(table.joints[0], table, moves)
+
+    def _table_of(self, columns: Mapping[str, Any]) -> Measurements:
+        """Return the readings of a stop by their columns, with joint values in the order of the robot's."""
+        names = self.robot.joint_names
+        table = Measurements.of(
+            columns,
+            names,
+            self.robot.joint_types,
+            kind=None if "kind" in columns else self._settings.cell.kind,
+            needs_all_joints=not self.robot.branches,
+        )
+        q = table.joints_for(names)[0]
+        joints = np.tile(q, (len(table), 1))
+        return replace(table, joint_names=names, joints=joints, moves=None, source="", sha256="")
+
+    def _check_names(self, table: Measurements) -> None:
+        """Refuse readings that the cell does not let expect: of another target, station or kind."""
+        sensitivity = self._course.design.sensitivity
+        setup = sensitivity.setup
+        kinds = {view.instrument.kind.name for view in sensitivity.views}
+        if set(table.kinds) - kinds:
+            raise MeasurementError(
+                f"The reading is of the kind '{table.kinds[0]}', and the session measures '{min(kinds)}': give the "
+                "columns of that."
+            )
+        if len(setup.targets) > 1 and set(table.targets) - set(setup.targets):
+            name = min(set(table.targets) - set(setup.targets))
+            raise MeasurementError(
+                f"The reading is of the target '{name}'; those of the cell are {', '.join(setup.targets)}."
+            )
+
+    def _added(self, row: Row, key: str, proposed: Sequence[Array]) -> Answer:
+        """Add a row that the journal has, and keep what is said of it."""
+        course, answer = self._course.with_row(row, proposed)
+        self._journal.append(_answer_event(course, answer))
+        self._course = course
+        self._proposed = None
+        if key:
+            self._answers[key] = answer
+        self._write_table()
+        return answer
+
+    def _write_table(self) -> None:
+        """Write the table of the stops that count; the journal has them in any case."""
+        tables = self._course.tables()
+        if tables:
+            Measurements.joined(tables).write(self.folder / TABLE, overwrite=True)
+        else:
+            (self.folder / TABLE).unlink(missing_ok=True)
+
+    def _replay(self) -> None:
+        """Make the course of the journal: answers that it has are taken, the last row without one is judged."""
+        course = self._course
+        pending: tuple[Row, str, list[Array]] | None = None
+        for event in self._journal.events:
+            kind = event["event"]
+            if kind == "row":
+                table = self._table_of(event["columns"])
+                moves = None if event["moves"] is None else np.array(event["moves"])
+                proposed = [] if event["proposed"] is None else [np.array(event["proposed"])]
+                pending = Row(table.joints[0], table, moves), str(event["key"]), proposed
+            elif kind == "answer" and pending is not None:
+                row, key, _ = pending
+                course, answer = _answered(course, row, event)
+                if key:
+                    self._answers[key] = answer
+                pending = None
+            elif kind == "undo":
+                course = course.without_last()
+                self._forget(event["stop"])
+            elif kind == "skip":
+                course = course.with_skipped(_nearest(course, np.array(event["joints"])))
+        self._course = course.refitted()
+        if pending is not None:
+            row, key, proposed = pending
+            self._added(row, key, proposed)
+        self._write_table()
+
+    def _forget(self, number: int) -> None:
+        """Forget the answer to a stop that was taken back: its key may be added again."""
+        self._answers = {key: each for key, each in self._answers.items() if each.stop != number}
+
+    @property
+    def pictures(self) -> Path:
+        """Folder in which pictures of the session are kept."""
+        return self.folder / PICTURES
+
+
+def _name_of(robot: RobotInput) -> str:
+    """Return how a robot was named: an absolute path, or a name; empty if it was given in memory."""
+    if isinstance(robot, Robot):
+        path = robot.urdf.path
+        return "" if path is None else str(path.resolve())
+    path = Path(robot)
+    return str(path.resolve()) if path.is_file() else str(robot)
+
+
+def _course_of(settings: Settings, progress: Progress | None) -> Course:
+    """Draw the candidates of a session, and return its course without stops."""
+    robot, cell = settings.robot, settings.cell
+    check_placed(cell)
+    sensitivity = Sensitivity.of(robot, cell)
+    is_image = bool(sensitivity.instrument.VIEWPOINT_NUMBERS)
+    depends = sensitivity.kinematics.model.depends_on_moves
+    request = PlanRequest(
+        candidates=None if is_image else _CANDIDATES,
+        seed=settings.seed,
+        approach="both" if depends else "straight",
+    ).complete(sensitivity.instrument)
+    check = CollisionCheck() if settings.collisions else None
+    ground = reachable(sensitivity, request, settings.aim.region, check, progress)
+    design = Design.of(sensitivity, ground)
+    return Course(
+        robot=robot,
+        cell=cell,
+        design=design,
+        error=settings.aim.error,
+        reference=_reference(design, settings.aim.poses, settings.seed),
+    )
+
+
+def _reference(design: Design, count: int, seed: int) -> Array:
+    """Return the information of random candidates, the median of several draws by their expected error, (p, p)."""
+    rng = np.random.default_rng([seed, 2])
+    pool, sensitivity = design.ground.pool, design.sensitivity
+    if len(pool.q) < count:
+        raise ModelError(
+            f"The aim is that of {count} poses at random, and there are {len(pool.q)} that can be measured: give fewer."
+        )
+    draws = []
+    prior = np.diag(sensitivity.precision)
+    for _ in range(_DRAWS):
+        chosen = rng.choice(len(pool.q), count, replace=False)
+        seen = None if pool.seen is None else pool.seen[chosen]
+        total = information(sensitivity.measured(pool.q[chosen], None, seen))
+        draws.append((design.expected(total + prior, np.inf).error, total))
+    draws.sort(key=lambda draw: draw[0])
+    return draws[_DRAWS // 2][1]
+
+
+def _joint_columns(robot: Robot, q: Array, count: int) -> dict[str, list[float]]:
+    """Return joint values (m,) [rad] or [m] as columns of a table of so many rows, in degrees and millimetres."""
+    columns = {}
+    for name, value in zip(robot.joint_names, q.tolist(), strict=True):
+        if robot.joint_types[name] == "prismatic":
+            columns[f"{name} [m]"] = [value] * count
+        else:
+            columns[f"{name} [rad]"] = [value] * count
+    return columns
+
+
+def _nearest(course: Course, joints: Array) -> int:
+    """Return the candidate at joint values (m,), or nearest to them."""
+    return int(np.argmin(np.abs(course.design.joints - joints).max(axis=1)))
+
+
+def _via(row: Row) -> Array | None:
+    """Return where the robot drove by before a stop, if it did."""
+    return None if row.moves is None else np.asarray(row.joints - row.moves)
+
+
+def _answer_event(course: Course, answer: Answer) -> dict[str, Any]:
+    """Return the event with what was said of the last stop, and what follows from it for the others."""
+    point = course.curve[-1] if course.curve else None
+    return {
+        "event": "answer",
+        "time": date_text(now()),
+        "stop": answer.stop,
+        "outcome": answer.outcome,
+        "residual": answer.residual,
+        "usual": answer.usual,
+        "square": answer.square,
+        "numbers": answer.numbers,
+        "findings": [
+            {"code": f.code, "stops": f.stops, "values": f.values, "name": f.name}
+            for f in answer.findings
+        ],
+        "before_m": answer.before,
+        "after_m": answer.after,
+        "counted": [stop.number for stop in course.counted],
+        "breaks": [[b.stop, b.target, b.station] for b in course.breaks],
+        "curve_m": None
+        if point is None
+        else [point.stop, point.stops, point.error, point.low, point.high],
+    }
+
+
+def _answered(course: Course, row: Row, event: Mapping[str, Any]) -> tuple[Course, Answer]:
+    """Return the course with a row and the answer that the journal has of it, not fitted; and the answer."""
+    answer = Answer(
+        stop=event["stop"],
+        outcome=event["outcome"],
+        residual=event["residual"],
+        usual=event["usual"],
+        square=np.nan if event["square"] is None else event["square"],
+        numbers=event["numbers"],
+        findings=tuple(
+            Finding(f["code"], tuple(f["stops"]), f["values"], f["name"]) for f in event["findings"]
+        ),
+        before=event["before_m"],
+        after=event["after_m"],
+    )
+    counted = set(event["counted"])
+    stops = [
+        replace(stop, counts=stop.number in counted)
+        for stop in (*course.stops, Stop(answer.stop, row, answer, answer.stop in counted))
+    ]
+    curve = course.curve
+    if event["curve_m"] is not None:
+        curve = (*curve, CurvePoint(*event["curve_m"]))
+    return replace(
+        course,
+        stops=tuple(stops),
+        breaks=tuple(Break(*broken) for broken in event["breaks"]),
+        curve=curve,
+    ), answer
