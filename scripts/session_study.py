@@ -279,7 +279,7 @@ def run_session(_: None, case: Case) -> dict[str, Any]:
                         "stop": stop.answer.stop,
                         "outcome": stop.answer.outcome,
                         "found": [
-                            {"code": finding.code, "stops": list(finding.rows)}
+                            {"code": finding.code, "stops": list(finding.stops)}
                             for finding in stop.answer.findings
                         ],
                         "mistake": mistake and asdict(mistake),

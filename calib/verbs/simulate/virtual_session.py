@@ -14,16 +14,14 @@ from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.numerics.errors import rms
-from calib.verbs.measure.session import Answer, NextPose, Row, Session
+from calib.verbs.measure.session import NextPose, Session
+from calib.verbs.measure.stop import Answer, Row
 from calib.verbs.simulate.operator import Measurement, Operator
 from calib.verbs.simulate.random_streams import stream
 from calib.verbs.simulate.scenario import VirtualCell
 
 #: How well a person states where a camera and a board are, along and about each axis [m], [rad].
 _TAPE, _EYE = 10e-3, float(np.deg2rad(1.0))
-
-#: How often the operator measures a pose again that the session asks for once more.
-_TRIES = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,30 +84,28 @@ def measure_with(session: Session, operator: Operator, most: int) -> Iterator[Vi
     Args:
         session: The session, which goes on where it is.
         operator: Who measures.
-        most: The most stops of the session.
+        most: The most stops of the session, those that are measured again among them.
 
     Yields:
-        Each stop, also those that are measured again.
+        Each stop, also those that do not count.
     """
+    again = False
     while len(session.stops) < most and not session.state.reached:
         proposed = session.next()
         if proposed is None:
             return
-        again = False
-        for _ in range(1 + _TRIES):
-            try:
-                measurement = operator.measure(proposed.joints, again=again, via=proposed.via)
-            except CalibError as error:
-                session.skip(str(error))
-                break
-            began = time.perf_counter()
-            answer = session.add(Row(measurement.joints, measurement.readings))
-            seconds = time.perf_counter() - began
-            yield VirtualStop(proposed, measurement, answer, session.state.high, seconds)
-            again = answer.outcome == "again"
-            if not again:
-                break
-            session.undo("measured again")
+        try:
+            measurement = operator.measure(proposed.joints, again=again, via=proposed.via)
+        except CalibError as error:
+            session.skip(str(error))
+            again = False
+            continue
+        moves = None if proposed.via is None else proposed.joints - proposed.via
+        began = time.perf_counter()
+        answer = session.add(Row(measurement.joints, measurement.readings, moves))
+        seconds = time.perf_counter() - began
+        again = answer.outcome == "again"
+        yield VirtualStop(proposed, measurement, answer, session.state.high, seconds)
 
 
 def true_error(virtual: VirtualCell, q: Array, predicted: Array) -> float:
