@@ -30,19 +30,17 @@ from typing import Any
 import numpy as np
 from studies import print_table, process_pool, show_progress, study_parser
 
-from calib.basics.arrays import Array, read_only
+from calib.basics.arrays import Array
 from calib.basics.jobs import run
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.kinematics import Samples
 from calib.numerics.errors import rms
 from calib.result.table_fits import fit_table
-from calib.robot.ranges import spread_between
 from calib.robot.robot import Robot
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.plan import plan
-from calib.verbs.plan.pose_candidates import planning_ranges
 from calib.verbs.plan.sensitivity import Sensitivity
 from calib.verbs.simulate.equipment import usual_board
 from calib.verbs.simulate.operator import (
@@ -59,7 +57,12 @@ from calib.verbs.simulate.operator import (
     Operator,
 )
 from calib.verbs.simulate.scenario import Scenario, VirtualCell
-from calib.verbs.simulate.virtual_session import known_cell, measure_with, true_error
+from calib.verbs.simulate.virtual_session import (
+    everywhere as poses_everywhere,
+    known_cell,
+    measure_with,
+    true_error,
+)
 
 #: Base and tip of each arm.
 LINKS = {
@@ -82,9 +85,6 @@ BEST, AIM = 40, 1.3
 
 #: Candidates of a plan: a fifth of the usual ones, for errors that are one hundredth larger.
 CANDIDATES = 4000
-
-#: Poses over which the true error counts.
-EVERYWHERE = 1500
 
 #: Calibrations by poses at random of each number that is tried, with a camera and without one; the largest number.
 TRIALS, MOST_RANDOM = {True: 8, False: 16}, 400
@@ -134,7 +134,7 @@ class Setting:
     #: Draws other robots, cameras and prints, with all of it where it stands.
     scenario: Scenario
     known: Cell
-    #: Shape (EVERYWHERE, m), poses over which the true error counts.
+    #: Shape (N, m), poses over which the true error counts.
     everywhere: Array
     sensitivity: Sensitivity
     workspace: Workspace
@@ -205,8 +205,7 @@ def draw(case: Case) -> Setting:
     virtual = Scenario(arm, cell, errors).draw(case.seed)
     known = known_cell(virtual, case.seed)
     sensitivity = Sensitivity.of(arm, known)
-    ranges = planning_ranges(arm, known.ranges, PlanRequest().margin)
-    everywhere = read_only(arm.readings(spread_between(ranges, EVERYWHERE)))
+    everywhere = poses_everywhere(virtual)
     workspace = Workspace.of(sensitivity, everywhere)
     truth = virtual.truth
     placed = replace(known, estimate_frame=False, T_frame_base=truth.T_frame_base[0])

@@ -14,8 +14,11 @@ from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.numerics.errors import rms
+from calib.robot.ranges import spread_between
 from calib.verbs.measure.session import NextPose, Session
 from calib.verbs.measure.stop import Answer, Row
+from calib.verbs.plan.choice import PlanRequest
+from calib.verbs.plan.pose_candidates import planning_ranges
 from calib.verbs.simulate.operator import Measurement, Operator
 from calib.verbs.simulate.random_streams import stream
 from calib.verbs.simulate.scenario import VirtualCell
@@ -106,6 +109,13 @@ def measure_with(session: Session, operator: Operator, most: int) -> Iterator[Vi
         seconds = time.perf_counter() - began
         again = answer.outcome == "again"
         yield VirtualStop(proposed, measurement, answer, session.state.high, seconds)
+
+
+def everywhere(virtual: VirtualCell, count: int = 1500) -> Array:
+    """Return poses all over the joint ranges that a plan keeps to, for `true_error`, shape (count, m), [rad] or [m]."""
+    robot, ranges = virtual.truth.nominal, virtual.scenario.cell.ranges
+    values = spread_between(planning_ranges(robot, ranges, PlanRequest().margin), count)
+    return read_only(robot.readings(values))
 
 
 def true_error(virtual: VirtualCell, q: Array, predicted: Array) -> float:
