@@ -314,6 +314,7 @@ def run_session(_: None, case: Case) -> dict[str, Any]:
         "needed": needed,
         "planned": planned,
         "random": at_random,
+        "random_forecast": guess,
         "verdict": str(result.verdict.use) if result.verdict else "",
         "start_seconds": start,
         "calibrate_seconds": seconds,

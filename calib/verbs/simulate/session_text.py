@@ -1,4 +1,4 @@
-"""A session with a virtual operator as text, as `calib simulate --session` prints it: a line a stop, then the result."""
+"""A session with a virtual operator as text, for `calib simulate --session`: a line a stop, then the result."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ def result_lines(state: State, result: Calibration, nominal: float, true: float)
     reached = "reached" if state.reached else "not reached"
     if state.error is not None and state.high is not None:
         yield fill(
-            f"Expected error {mm(state.error)} mm, at most {mm(state.high)} mm with 95 %; the aim of {mm(state.aim)} mm is "
-            f"{reached} after {plural(state.stops, 'pose')}."
+            f"Expected error {mm(state.error)} mm, at most {mm(state.high)} mm with 95 %; the aim of {mm(state.aim)} mm "
+            f"is {reached} after {plural(state.stops, 'pose')}."
         )
     else:
         yield fill(
@@ -101,7 +101,8 @@ def result_lines(state: State, result: Calibration, nominal: float, true: float)
         )
     met = "within" if true <= state.aim else "above"
     yield fill(
-        f"True error {mm(true)} mm rms over the joint ranges, {met} the aim; that of the nominal robot {mm(nominal)} mm."
+        f"True error {mm(true)} mm rms over the joint ranges, {met} the aim; that of the nominal robot "
+        f"{mm(nominal)} mm."
     )
     if result.verdict is not None:
         yield f"Verdict: {result.verdict.use}"
