@@ -11,7 +11,7 @@ import typer
 from calib.cli.loading import load
 from calib.cli.options import ColumnChoice, Force, ModelOptions, Quiet, RobotFile
 from calib.cli.output_files import check_outputs, written_lines
-from calib.cli.terminal import moving_bar, progress_bar
+from calib.cli.terminal import moving_bar, progress_bar, stages_bar, work_line
 from calib.cli.verb import verb
 from calib.errors import CalibError
 from calib.verbs.simulate.scenario_words import ScenarioWords
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from calib.basics.arrays import Array
 
 _File = Path | None
+
+#: The most stops of a session.
+MOST_STOPS = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,35 @@ class PoseOptions(ColumnChoice):
     ] = 0
 
 
+@dataclass(frozen=True, slots=True)
+class SessionOptions:
+    """A session with a virtual operator, in place of a table."""
+
+    session: Annotated[
+        _File,
+        typer.Option(
+            metavar="FOLDER",
+            help="Measure pose by pose, as 'calib measure' proposes them, into this new folder.",
+        ),
+    ] = None
+    mistakes: Annotated[
+        bool, typer.Option("--mistakes", help="With --session: the operator makes mistakes.")
+    ] = False
+    aim: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help='With --session: the error that shall hold with 95 %, such as "0.15 mm". Default: as good as --count '
+            "random poses.",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Refuse options of a session without one: `CalibError`."""
+        if self.session is None and (self.mistakes or self.aim is not None):
+            raise CalibError("--mistakes and --aim belong to a session: add --session FOLDER.")
+
+
 @verb("""Simulate measurements of a robot whose errors are known.
 
 \b
@@ -52,6 +84,7 @@ Examples:
   calib simulate robot.urdf --error "elbow_joint.rx=2 mrad" --noise none -o table.csv
   calib simulate robot.urdf --tip left=hand_l --tip right=hand_r --frame estimate -o hands.csv
   calib simulate ur5 --kind pixel --camera-on tool0 --board-on base_link --images pictures -o corners.csv
+  calib simulate ur3 --base base --tip tool0 --frame estimate --session rehearsal --mistakes
 
 It writes a table for calib calibrate, and next to it the truth: the robot's errors, targets, frames, and what was
 disturbed in which row. The same seed gives the same files. --model is the error model of the simulated robot, placement
@@ -60,12 +93,16 @@ has encoder resolution, drift, a moved target and more.
 
 For the kind pixel it places a camera and a printed board, usual ones or those of --camera and --board, and takes
 pictures at poses from which the whole board is seen; --images draws them, for calib detect.
+
+With --session a virtual operator measures a session of calib measure, pose by pose until the aim is reached, and the
+robot is calibrated; --mistakes: one reading in six is wrong.
 """)
 def simulate(
     robot: RobotFile,
     cell_options: ModelOptions,
     errors: ScenarioWords,
     poses: PoseOptions,
+    session: SessionOptions,
     output: Annotated[_File, typer.Option("-o", "--output", help="Write the table.")] = None,
     truth: Annotated[
         _File,
@@ -98,6 +135,26 @@ def simulate(
     from calib.verbs.simulate.text import simulated_text
     from calib.verbs.simulate.truth_file import write_truth
 
+    session.check()
+    if session.session is not None:
+        named = [output, images, truth_urdf, poses.poses]
+        if any(path is not None for path in named) or poses.validation is not None:
+            raise CalibError(
+                "--session chooses its poses, and writes its table into its folder; leave out -o, --images, "
+                "--truth-urdf, --poses and --validation."
+            )
+        _simulate_session(
+            robot,
+            cell_options,
+            errors,
+            session,
+            poses.count,
+            poses.seed,
+            truth,
+            force=force,
+            quiet=quiet,
+        )
+        return
     # The truth goes next to the table, or among the pictures, unless its file is named.
     if output is None and images is None:
         raise CalibError("Name the table to write: -o table.csv.")
@@ -148,3 +205,74 @@ def simulate(
     if not quiet:
         text = simulated_text(scenario, simulated)
         typer.echo("\n".join([f"{text}\n", *written_lines(*written)]))
+
+
+def _simulate_session(
+    robot: str | Path,
+    cell_options: ModelOptions,
+    errors: ScenarioWords,
+    options: SessionOptions,
+    count: int,
+    seed: int,
+    truth: Path | None,
+    *,
+    force: bool,
+    quiet: bool,
+) -> None:
+    """Measure a session with a virtual operator, calibrate, write the truth beside its folder, and print all of it.
+
+    Without an aim it is that of so many random poses.
+    """
+    from calib.basics.units import LENGTH, parse_amount
+    from calib.data.cell_chains import check_arm_is_named
+    from calib.numerics.errors import rms
+    from calib.verbs.measure.aim import Aim
+    from calib.verbs.measure.session import Session
+    from calib.verbs.simulate.operator import NO_MISTAKES, USUAL_MISTAKES, Operator
+    from calib.verbs.simulate.scenario import with_robots_placed
+    from calib.verbs.simulate.scenario_words import read_scenario
+    from calib.verbs.simulate.session_text import heading, result_lines, stop_line
+    from calib.verbs.simulate.truth_file import write_session_truth
+    from calib.verbs.simulate.virtual_session import (
+        everywhere,
+        known_cell,
+        measure_with,
+        true_error,
+    )
+
+    assert options.session is not None
+    folder = options.session
+    if truth is None:
+        truth = folder.with_name(f"{folder.name}_truth.json")
+    check_outputs([truth], [robot, cell_options.file, errors.truth_robot], force=force)
+    aim = Aim(poses=count)
+    if options.aim is not None:
+        aim = Aim(error=parse_amount(options.aim, "--aim", LENGTH, "0.15 mm"))
+    cell = with_robots_placed(cell_options.cell())
+    arm = load(robot, cell)
+    check_arm_is_named(arm, cell)
+    virtual = read_scenario(arm, cell, cell_options.file, errors).draw(seed)
+    operator = Operator.of(virtual, seed, USUAL_MISTAKES if options.mistakes else NO_MISTAKES)
+    known = known_cell(virtual, seed)
+    stops = []
+    with stages_bar(quiet=quiet) as progress:
+        session = Session.start(folder, arm, known, aim, seed=seed, progress=progress)
+    with session:
+        if not quiet:
+            typer.echo(heading(arm))
+        for stop in measure_with(session, operator, MOST_STOPS):
+            stops.append(stop.measurement)
+            if not quiet:
+                typer.echo(stop_line(arm, stop))
+        with work_line(quiet=quiet):
+            result = session.calibrate()
+        state = session.state
+    q = everywhere(virtual)
+    names = virtual.truth
+    predicted = result.predict_poses(q, target=names.targets[0], group=names.groups[0])
+    true = min(true_error(of, q, predicted) for of in (virtual, operator.now))
+    write_session_truth(operator, stops, seed, truth, overwrite=force)
+    if not quiet:
+        nominal = rms(virtual.truth.nominal_errors(q))
+        typer.echo("\n".join(["", *result_lines(state, result, nominal, true), ""]))
+        typer.echo("\n".join(written_lines(folder, truth)))

@@ -36,6 +36,9 @@ STREAMS = (
     # Of targets that stand still.
     "references",
     "reference noise",
+    # Of an operator who measures stop by stop.
+    "mistakes",
+    "readings",
 )
 
 
@@ -49,3 +52,9 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
         raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")
     sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))
     return np.random.default_rng(sequence)
+
+
+def seed_of_reading(seed: int, number: int) -> int:
+    """Return the seed of one reading among those that are taken one by one, by its number from 1."""
+    sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index("readings"), number))
+    return int(sequence.generate_state(1, np.uint64)[0])

@@ -5,6 +5,7 @@ Errors of a camera and a print are named as the fit's estimates of them: what mu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,15 @@ from calib.camera.camera import Camera
 from calib.camera.lenses import LENSES
 from calib.robot.coupled_readings import coupling_table
 from calib.verbs.simulate.equipment import Equipment
+from calib.verbs.simulate.operator import Measurement, Mistake, Operator
 from calib.verbs.simulate.scenario import Scenario, Simulated
 from calib.verbs.simulate.simulated_rows import Pictures
 from calib.verbs.simulate.truth import Truth
 
 SCHEMA = "truth 2"
+
+#: Of the truth of a session.
+SESSION_SCHEMA = "session truth 1"
 
 #: Keys of a noise.
 _NOISE = ("constant_m", "per_length_m_per_m", "repeatability_m")
@@ -66,6 +71,60 @@ def write_truth(
         content["parameters"] += _equipment_errors(simulated.truth, simulated.pictures.equipment)
         content |= _camera_tables(scenario, simulated, simulated.pictures)
     return write_atomically(path, json_bytes(content), overwrite=overwrite)
+
+
+def write_session_truth(
+    operator: Operator,
+    stops: Sequence[Measurement],
+    seed: int,
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write the truth of a session with a virtual operator as JSON, in SI units.
+
+    Args:
+        operator: Has the cell as it was at the beginning, and what was knocked since.
+        stops: What was measured, in order.
+        seed: Of the cell and the operator.
+        path: The file.
+        overwrite: Whether an existing file is replaced.
+
+    Returns:
+        The file.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    virtual = operator.virtual
+    content: dict[str, Any] = {
+        "schema": SESSION_SCHEMA,
+        "seed": seed,
+        **truth_table(virtual.truth),
+        "knocked": [_mistake_table(mistake) for mistake in reversed(operator.knocked)],
+        "stops": [
+            {
+                "stop": number,
+                "joints": stop.joints,
+                "mistakes": [_mistake_table(mistake) for mistake in stop.mistakes],
+            }
+            for number, stop in enumerate(stops, start=1)
+        ],
+    }
+    if virtual.equipment is not None:
+        content["parameters"] += _equipment_errors(virtual.truth, virtual.equipment)
+    return write_atomically(path, json_bytes(content), overwrite=overwrite)
+
+
+def _mistake_table(mistake: Mistake) -> dict[str, Any]:
+    """Return a mistake by the keys of a truth file."""
+    return {
+        "mistake": mistake.code,
+        "since_stop": mistake.since,
+        "name": mistake.name,
+        "size_m": mistake.size,
+        "turn_rad": mistake.turn,
+    }
 
 
 def truth_table(truth: Truth) -> dict[str, Any]:

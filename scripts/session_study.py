@@ -1,0 +1,513 @@
+"""Sessions with a virtual operator: are they enough when they say so, and is a mistake named at its row?
+
+    python scripts/session_study.py run --count 100 --out sessions.jsonl [--mistakes]
+    python scripts/session_study.py table sessions.jsonl
+
+A cell is drawn: a robot with errors, a tracker or a camera with its noise, where things stand. The best possible error
+is that below which 95 % of calibrations by the best plan of 40 poses are, by forecast; the aim is 1.3 times that. The
+session proposes poses, the operator measures them, and the session says when it is enough. Then the corrected robot is
+compared with the true one, at poses all over the joint ranges.
+
+Beside it stand the number of poses that the best plan takes for the same aim, by forecast, and the number that poses at
+random take, by fits of measurements that are simulated. A session is early if the true error is above the aim, and late
+by the poses after the one with which the aim was met, by the forecast of the session's own poses with the true noise.
+
+With --mistakes the operator makes some, at one reading in six. One is named at its row if the session asks to measure
+again, or finds the mistake that it is. Files are resumed: sessions that are there are not run again.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from studies import print_table, process_pool, show_progress, study_parser
+
+from calib.basics.arrays import Array
+from calib.basics.jobs import run
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.model.kinematics import Samples
+from calib.numerics.errors import rms
+from calib.result.table_fits import fit_table
+from calib.robot.robot import Robot
+from calib.verbs.plan.choice import PlanRequest
+from calib.verbs.plan.forecast import Forecast, Workspace
+from calib.verbs.plan.plan import plan
+from calib.verbs.plan.sensitivity import Sensitivity
+from calib.verbs.simulate.equipment import usual_board
+from calib.verbs.simulate.operator import (
+    BASE_MOVED,
+    GROSS,
+    MISSED,
+    MISTAKES,
+    NO_MISTAKES,
+    NOT_THERE,
+    REPEATED,
+    SWAPPED,
+    TARGET_MOVED,
+    USUAL_MISTAKES,
+    Operator,
+)
+from calib.verbs.simulate.scenario import Scenario, VirtualCell
+from calib.verbs.simulate.virtual_session import (
+    everywhere as poses_everywhere,
+    known_cell,
+    measure_with,
+    true_error,
+)
+
+#: Base and tip of each arm.
+LINKS = {
+    "ur3": ("base", "tool0"),
+    "ur10e": ("base", "tool0"),
+    "panda": ("panda_link0", "panda_link8"),
+}
+
+#: Kind of measurement by its word.
+KINDS = {"points": "point", "poses": "pose", "pixels": "pixel"}
+
+#: Noise of an orientation about each axis [rad], and of an image coordinate [px].
+ANGLE, PIXEL = float(np.radians(0.01)), 0.3
+
+#: A board on a plate of aluminium: scale, a corner's place and sag [m]. A print on paper would be all that counts.
+SCALE, CORNER, SAG = 2e-5, 2e-5, 1e-4
+
+#: Poses of the best possible plan, and the aim in its errors.
+BEST, AIM = 40, 1.3
+
+#: Candidates of a plan: a fifth of the usual ones, for errors that are one hundredth larger.
+CANDIDATES = 4000
+
+#: Calibrations by poses at random of each number that is tried, with a camera and without one; the largest number.
+TRIALS, MOST_RANDOM = {True: 8, False: 16}, 400
+
+#: Share of a number of poses at random to which it is looked for.
+GRAIN = 0.04
+
+#: The most stops of a session.
+MOST_STOPS = 120
+
+#: A session is late if it goes on for so many poses.
+LATE = 3
+
+#: What a session may say of each mistake.
+NAMES = {
+    GROSS: {GROSS, NOT_THERE},
+    SWAPPED: {SWAPPED, NOT_THERE},
+    REPEATED: {REPEATED, NOT_THERE},
+    MISSED: {REPEATED, NOT_THERE, SWAPPED},
+    TARGET_MOVED: {TARGET_MOVED, "something_moved"},
+    BASE_MOVED: {BASE_MOVED, "something_moved"},
+    NOT_THERE: {NOT_THERE, GROSS},
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One session: what is drawn."""
+
+    robot: str
+    kind: str
+    seed: int
+    mistakes: bool
+    model: str
+
+    @property
+    def key(self) -> str:
+        """Name of the session in a file."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A virtual cell, what is known of it, and the yardsticks of its errors."""
+
+    virtual: VirtualCell
+    #: Draws other robots, cameras and prints, with all of it where it stands.
+    scenario: Scenario
+    known: Cell
+    #: Shape (N, m), poses over which the true error counts.
+    everywhere: Array
+    sensitivity: Sensitivity
+    workspace: Workspace
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal robot."""
+        return self.virtual.truth.nominal
+
+    def plan(self, count: int) -> Forecast:
+        """Forecast the best plan of so many poses."""
+        request = PlanRequest(count, 0, ladder=False, candidates=self._candidates)
+        return plan(self.robot, self.known, request, collisions=None).forecast
+
+    @property
+    def _candidates(self) -> int | None:
+        """Number of candidates of a plan; None: as many as usual, which are few with a camera."""
+        return None if self.virtual.equipment is not None else CANDIDATES
+
+    def limit(self, q: Array) -> float:
+        """Forecast the error below which 95 % of calibrations by poses (N, m) are, with the true noise [m]."""
+        return Forecast.of(self.sensitivity, self.workspace, q).rms_high
+
+    def random_forecast(self, count: int) -> float:
+        """Forecast the error below which 95 % of calibrations by so many poses at random are [m]."""
+        squares = [self.limit(self.virtual.poses(count, seed)) ** 2 for seed in range(5)]
+        return float(np.sqrt(np.mean(squares)))
+
+    def random_limit(self, count: int, seed: int) -> float:
+        """Return the error below which 95 % of calibrations by so many poses at random are, by simulation [m].
+
+        Each trial has a robot, noise and poses of its own. Simulated is the rms of the errors; by how much some are
+        larger is that of the forecast, in which there is less chance.
+        """
+        errors, ratios = [], []
+        for k in range(TRIALS[self.virtual.equipment is not None]):
+            of_trial = 1_000_000 * (k + 1) + seed
+            virtual = self.scenario.draw(of_trial)
+            q = virtual.poses(count, of_trial)
+            table = virtual.measure(q, of_trial).measurements
+            fitted = fit_table(self.robot, table, self.known).geometry
+            poses = fitted.kinematics.poses(fitted.estimate.x, Samples.at(self.everywhere))
+            errors.append(true_error(virtual, self.everywhere, poses))
+            forecast = Forecast.of(self.sensitivity, self.workspace, q)
+            ratios.append(forecast.rms_high / forecast.rms)
+        return rms(np.array(errors)) * float(np.mean(ratios))
+
+
+def draw(case: Case) -> Setting:
+    """Draw the cell of a session; of pictures every other camera is on the hand, the others beside the robot."""
+    base, tip = LINKS[case.robot]
+    kind = KINDS[case.kind]
+    cell = Cell(kind=kind, estimate_frame=True, model=case.model)
+    if kind == "pixel":
+        if case.seed % 2:
+            base, tip = tip, base
+        board = replace(
+            usual_board(Robot.load(case.robot, *LINKS[case.robot])),
+            sigma_scale=SCALE,
+            sigma_corner=CORNER,
+            sigma_warp=SAG,
+        )
+        cell = replace(cell, boards={"": board}, sigma={"px": PIXEL})
+    elif kind == "pose":
+        cell = replace(cell, sigma={"rad": ANGLE})
+    arm = Robot.load(case.robot, base, tip)
+    errors = "placement" if case.model == "auto" else case.model
+    virtual = Scenario(arm, cell, errors).draw(case.seed)
+    known = known_cell(virtual, case.seed)
+    sensitivity = Sensitivity.of(arm, known)
+    everywhere = poses_everywhere(virtual)
+    workspace = Workspace.of(sensitivity, everywhere)
+    truth = virtual.truth
+    placed = replace(known, estimate_frame=False, T_frame_base=truth.T_frame_base[0])
+    if virtual.equipment is not None:
+        T = truth.T_tip_target[0]
+        placed = replace(placed, target=T[:3, 3], target_rotation=T[:3, :3])
+    scenario = Scenario(arm, placed, errors)
+    return Setting(virtual, scenario, known, everywhere, sensitivity, workspace)
+
+
+def fewest(
+    limit: Callable[[int], float],
+    aim: float,
+    least: int,
+    most: int,
+    guess: int,
+    grain: float = 0.0,
+) -> int:
+    """Return the least number, from ``least`` to ``most``, whose limit is within an aim; ``most`` if none is.
+
+    The search begins at a guess, in steps of a tenth of it, and ends when the number is known to a share ``grain``.
+    """
+    step = max(1, guess // 10)
+    low, high = least - 1, most
+    number = min(max(guess, least), most)
+    while high - low > max(1.0, grain * high):
+        if limit(number) <= aim:
+            high, number = number, number - step
+        else:
+            low, number = number, number + step
+        if not low < number < high:
+            number = (low + high) // 2
+    return high
+
+
+def run_session(_: None, case: Case) -> dict[str, Any]:
+    """Run a session, and return its figures in SI units."""
+    from calib.verbs.measure.session import Aim, Session
+
+    setting = draw(case)
+    least = len(setting.sensitivity.names) // (3 if case.kind == "points" else 6) + 2
+    best = setting.plan(BEST).rms_high
+    aim = AIM * best
+    planned = fewest(lambda n: setting.plan(n).rms_high, aim, least, 4 * BEST, round(BEST / AIM**2))
+    guess = fewest(setting.random_forecast, aim, least, MOST_RANDOM, 3 * planned // 2, GRAIN)
+    at_random = fewest(
+        lambda n: setting.random_limit(n, case.seed), aim, least, MOST_RANDOM, guess, GRAIN
+    )
+    operator = Operator.of(
+        setting.virtual, case.seed, USUAL_MISTAKES if case.mistakes else NO_MISTAKES
+    )
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        session = Session.start(
+            Path(folder) / "session",
+            setting.robot,
+            setting.known,
+            Aim(error=aim),
+            collisions=None,
+            seed=case.seed,
+        )
+        with session:
+            start = time.perf_counter() - began
+            for stop in measure_with(session, operator, MOST_STOPS):
+                mistake = stop.measurement.mistake
+                rows.append(
+                    {
+                        "number": stop.measurement.number,
+                        "stop": stop.answer.stop,
+                        "outcome": stop.answer.outcome,
+                        "found": [
+                            {"code": finding.code, "stops": list(finding.stops)}
+                            for finding in stop.answer.findings
+                        ],
+                        "mistake": mistake and asdict(mistake),
+                        "high_m": stop.high,
+                        "seconds": stop.seconds,
+                    }
+                )
+            state = session.state
+            joints = joints_of_stops(session.measurements)
+            began = time.perf_counter()
+            result = session.calibrate()
+            seconds = time.perf_counter() - began
+    needed = next(
+        (n for n in range(least, len(joints) + 1) if setting.limit(joints[:n]) <= aim), len(joints)
+    )
+    # What was knocked is displaced for the rows after it only, and the session says which of the two it calibrates.
+    truth = setting.virtual.truth
+    predicted = result.predict_poses(
+        setting.everywhere, target=truth.targets[0], group=truth.groups[0]
+    )
+    cells = (setting.virtual, operator.now)
+    error = min(true_error(cell, setting.everywhere, predicted) for cell in cells)
+    return {
+        **asdict(case),
+        "best_m": best,
+        "aim_m": aim,
+        "nominal_m": rms(setting.virtual.truth.nominal_errors(setting.everywhere)),
+        "true_m": error,
+        "stated_m": state.error,
+        "high_m": state.high,
+        "reached": state.reached,
+        "stops": state.stops,
+        "needed": needed,
+        "planned": planned,
+        "random": at_random,
+        "random_forecast": guess,
+        "verdict": str(result.verdict.use) if result.verdict else "",
+        "start_seconds": start,
+        "calibrate_seconds": seconds,
+        "rows": rows,
+    }
+
+
+def joints_of_stops(table: Measurements) -> Array:
+    """Return the joint values of each stop of a table, shape (N, m), [rad] or [m]."""
+    is_other = np.any(np.diff(table.joints, axis=0) != 0.0, axis=1)
+    return np.asarray(table.joints[np.append(True, is_other)])
+
+
+def read_sessions(path: Path) -> list[dict[str, Any]]:
+    """Return the sessions of a file; a last line that was cut off is left out."""
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    return [json.loads(line) for line in lines if line.endswith("\n")]
+
+
+def run_all(options: Namespace) -> None:
+    """Run the sessions that are not in the file yet, and add each as soon as it is there."""
+    robots, kinds = options.robots.split(","), options.kinds.split(",")
+    pairs = [(robot, kind) for kind in kinds for robot in robots]
+    cases = []
+    for k in range(options.count):
+        robot, kind = pairs[k % len(pairs)]
+        cases.append(Case(robot, kind, options.first + k, options.mistakes, options.model))
+    done = read_sessions(options.out)
+    write_lines(options.out, done)
+    known = {of_session(session).key for session in done}
+    left = [case for case in cases if case.key not in known]
+    pool = process_pool(options.workers) if options.workers > 1 else None
+    runs = run(run_session, None, left, pool)
+    with options.out.open("a", encoding="utf-8") as file:
+        for _, session in show_progress(runs, "sessions", len(left)):
+            file.write(json.dumps(session) + "\n")
+            file.flush()
+    if pool is not None:
+        pool.shutdown()
+
+
+def of_session(session: Mapping[str, Any]) -> Case:
+    """Return the case that a session of a file is of."""
+    return Case(**{name: session[name] for name in Case.__dataclass_fields__})
+
+
+def write_lines(path: Path, sessions: Sequence[Mapping[str, Any]]) -> None:
+    """Write a file anew without a line that was cut off, for more to be added."""
+    path.write_text("".join(json.dumps(session) + "\n" for session in sessions), encoding="utf-8")
+
+
+# Tables
+
+
+def accuracy_rows(sessions: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
+    """Yield whether sessions met their aim, and with how many poses, by arm and kind, and all together."""
+    for name, group in groups_of(sessions):
+        values = {
+            key: np.array([session[key] for session in group], dtype=np.float64)
+            for key in ("true_m", "aim_m", "stops", "random", "planned", "needed", "nominal_m")
+        }
+        error = values["true_m"] / values["aim_m"]
+        late = values["stops"] - values["needed"]
+        adds = np.array([row["seconds"] for session in group for row in session["rows"]])
+        yield [
+            name,
+            len(group),
+            f"{1e3 * np.median(values['nominal_m']):.2f}",
+            f"{1e3 * np.median(values['aim_m']):.3f}",
+            f"{100 * np.mean(error <= 1.0):.0f} %",
+            f"{np.median(error):.2f}, {np.quantile(error, 0.95):.2f}",
+            f"{np.median(values['stops']):.0f}",
+            f"{np.mean(values['stops'] / values['random']):.2f}",
+            f"{np.mean(values['stops'] / values['planned']):.2f}",
+            f"{100 * np.mean(late > LATE):.0f} %",
+            f"{100 * np.mean([not session['reached'] for session in group]):.0f} %",
+            f"{np.median(adds):.2f}, {adds.max():.2f}" if len(adds) else "",
+        ]
+
+
+def mistake_rows(sessions: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
+    """Yield how many mistakes of each sort were named at their row, and how many false alarms there were."""
+    judged = [judgement for session in sessions for judgement in judgements(session)]
+    for code in MISTAKES:
+        of_code = [one for one in judged if one.code == code]
+        if of_code:
+            yield [
+                code,
+                len(of_code),
+                *(share(getattr(one, name) for one in of_code) for name in ("named", "right")),
+            ]
+    wrong = [one for one in judged if one.code]
+    if wrong:
+        names = ("named", "right")
+        yield ["all", len(wrong), *(share(getattr(one, name) for one in wrong) for name in names)]
+    fine = [one for one in judged if not one.code]
+    yield ["none (false alarms)", len(fine), share(one.named for one in fine), ""]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a session said at one reading."""
+
+    code: str  # Of the mistake made there; empty: none
+    named: (
+        bool  # It asked for the reading again, or found the mistake; without one: it said anything
+    )
+    right: bool  # It found the mistake that it is
+
+
+def judgements(session: Mapping[str, Any]) -> Iterator[Judgement]:
+    """Yield what a session said at each reading; those after something was knocked are left out."""
+    for row in session["rows"]:
+        mistake = row["mistake"]
+        found = {finding["code"] for finding in row["found"] if row["stop"] in finding["stops"]}
+        code = mistake["code"] if mistake else ""
+        again = row["outcome"] == "again"
+        if code in (TARGET_MOVED, BASE_MOVED) and mistake["since"] < row["number"]:
+            continue  # it was knocked before
+        if code in (TARGET_MOVED, BASE_MOVED) and row["number"] == 1:
+            continue  # nothing was measured before that
+        right = bool(code) and bool(found & NAMES[code])
+        yield Judgement(code, again or right or (not code and bool(found)), right)
+
+
+def share(flags: Iterable[bool]) -> str:
+    """Word the share of True among flags."""
+    listed = list(flags)
+    return f"{100 * sum(listed) / len(listed):.1f} %" if listed else ""
+
+
+def groups_of(
+    sessions: Sequence[dict[str, Any]],
+) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Yield the sessions of each arm and kind, and all of them, with a name."""
+    pairs = dict.fromkeys((session["robot"], session["kind"]) for session in sessions)
+    for robot, kind in sorted(pairs, key=lambda pair: (pair[1], pair[0])):
+        group = [one for one in sessions if (one["robot"], one["kind"]) == (robot, kind)]
+        yield f"{robot}, {kind}", group
+    yield "all", list(sessions)
+
+
+def print_tables(path: Path) -> None:
+    """Print the tables of a file of sessions."""
+    sessions = read_sessions(path)
+    print_table(
+        (
+            "sessions",
+            "number",
+            "nominal [mm]",
+            "aim [mm]",
+            "aim met",
+            "error over aim: median, 95 %",
+            "poses",
+            "over random",
+            "over planned",
+            f"late by more than {LATE}",
+            "not reached",
+            "add [s]: median, most",
+        ),
+        accuracy_rows(sessions),
+    )
+    if any(session["mistakes"] for session in sessions):
+        print()
+        print_table(
+            ("mistake", "readings", "named at its row", "by its name"), mistake_rows(sessions)
+        )
+
+
+def main() -> None:
+    """Run sessions, or print their tables."""
+    parser = study_parser(__doc__)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    runs = verbs.add_parser("run", help="run sessions")
+    runs.add_argument("--robots", default=",".join(LINKS), help="arms, with commas between them")
+    runs.add_argument("--kinds", default=",".join(KINDS), help="points, poses, pixels")
+    runs.add_argument("--count", type=int, default=100, help="number of sessions, of all together")
+    runs.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first one")
+    runs.add_argument("--mistakes", action="store_true", help="the operator makes some")
+    runs.add_argument("--model", default="placement", help="of the fit and of the robot's errors")
+    runs.add_argument("--out", type=Path, required=True, help="file, one line a session")
+    runs.add_argument("--workers", type=int, default=1, help="number of processes")
+    tables = verbs.add_parser("table", help="print the tables")
+    tables.add_argument("file", type=Path)
+    options = parser.parse_args()
+    if options.verb == "run":
+        run_all(options)
+        print_tables(options.out)
+    else:
+        print_tables(options.file)
+
+
+if __name__ == "__main__":
+    main()
