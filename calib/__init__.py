@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from calib.verbs.history.history import History as History, history as history
     from calib.verbs.inspect.inspection import inspect as inspect
     from calib.verbs.joints.joint_table import joints as joints
+    from calib.verbs.measure.devices import controllers as controllers, readers as readers
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
     from calib.verbs.plan.plan import Plan as Plan, plan as plan
     from calib.verbs.simulate.scenario import Scenario as Scenario, simulate as simulate
@@ -110,11 +111,13 @@ _NAMES = {
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.
 _EXTENSIONS = {
+    "controllers": "calib.verbs.measure.devices.controllers",
     "families": "calib.model.families",
     "formats": "calib.verbs.convert.convert",
     "kinds": "calib.data.kinds",
     "models": "calib.model.parameter_sets",
     "plugins": "calib.basics.plugins",
+    "readers": "calib.verbs.measure.devices.readers",
     "solvers": "calib.numerics.solvers",
 }
 
