@@ -18,7 +18,7 @@ from calib.verbs.measure.devices.rows import GrowingText
 from calib.verbs.measure.devices.waiting import WaitingReader
 
 #: Time after which a file that has not changed counts as written [s]: longer than a program takes between two pieces.
-_STILL = 0.5
+_STILL = 0.4
 
 #: Time after which a picture that has not changed and has no end is broken [s].
 _BROKEN = 5.0

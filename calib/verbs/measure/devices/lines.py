@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import re
 import select
 import socket
 import sys
@@ -26,6 +27,9 @@ _LONGEST = 65_536
 
 #: Bytes that are taken at once.
 _PIECE = 65_536
+
+#: How a browser begins, which any web page may send here.
+_HTTP = re.compile(rb"[A-Z]+ \S+ HTTP/")
 
 #: Time between two attempts to connect again [s].
 _AGAIN = 1.0
@@ -136,20 +140,14 @@ class TcpReader(WaitingReader):
         self._connecting: socket.socket | None = None
         self._address: tuple[int, tuple[object, ...]] | None = None
         self._tried = time.monotonic()
+        #: The port at which programs of this machine can connect; None of a connection to an instrument.
+        self.port: int | None = None
         host, _, port = argument.rpartition(":")
         word, is_listening, listening_port = argument.partition("=")
         if is_listening and word == "listen":
             self._listen(_port(listening_port, argument))
         else:
             self._connect_first(host.strip("[]"), _port(port, argument), argument)
-
-    @property
-    def port(self) -> int | None:
-        """The port at which programs of this machine can connect; None if this is a connection to an instrument."""
-        if self._listening is None:
-            return None
-        port: int = self._listening.getsockname()[1]
-        return port
 
     def _listen(self, port: int) -> None:
         """Wait for programs of this machine; DeviceError if the port is taken."""
@@ -160,6 +158,7 @@ class TcpReader(WaitingReader):
                 f"{self._name}: nobody can connect at port {port}: {error.strerror}. Choose another port."
             ) from error
         self._listening.setblocking(False)
+        self.port = self._listening.getsockname()[1]
 
     def _connect_first(self, host: str, port: int, argument: str) -> None:
         """Connect to an instrument; DeviceError if it does not answer."""
@@ -235,11 +234,16 @@ class TcpReader(WaitingReader):
             return
         except OSError:
             data = b""
+        if self._listening is not None and _HTTP.match(data):
+            self._drop(connection)
+            self._ready.append(
+                MeasurementError(f"{self._name}: a browser has connected, which is no instrument.")
+            )
+            return
         if data:
             self._ready.extend(rows.feed(data))
             return
-        del self._connections[connection]
-        connection.close()
+        self._drop(connection)
         self._tried = time.monotonic()
         half = rows.rest.decode("utf-8", "replace").strip()
         if half:
@@ -253,6 +257,11 @@ class TcpReader(WaitingReader):
             self._ready.append(
                 DeviceError(f"{self._name}: the connection was lost. It is sought again by itself.")
             )
+
+    def _drop(self, connection: socket.socket) -> None:
+        """Read no longer from a connection."""
+        del self._connections[connection]
+        connection.close()
 
     def close(self) -> None:
         """Close all connections."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calib.basics.arguments import check_type
 from calib.basics.arrays import Array
+from calib.basics.frames import table_of_frame
 from calib.basics.units import split_header
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.forms.column_options import ColumnsInput
@@ -16,6 +18,9 @@ from calib.errors import ArgumentError
 
 #: A row of a table: numbers, in the unit of their header, and words by header, ``{"x [mm]": 512.3, "target": "T1"}``.
 Cells = Mapping[str, str | float]
+
+#: A number with a decimal comma.
+_WITH_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +104,15 @@ class Reading(Value):
             for row in self.rows
         ]
         headers = dict.fromkeys(header for row in rows for header in row)
-        frame = {header: [row.get(header, "") for row in rows] for header in headers}
-        return Measurements.of(
-            frame, context.joint_names, context.joint_types, columns, context.kind
+        frame = {header: [_plain(row.get(header, "")) for row in rows] for header in headers}
+        table = replace(table_of_frame(frame), source=self.source or "The reading")
+        return Measurements.read(
+            table, context.joint_names, context.joint_types, columns, context.kind
         )
+
+
+def _plain(cell: str | float) -> str | float:
+    """Return a number that is a text with a decimal point, since those of the joints have one; other cells as are."""
+    if isinstance(cell, str) and _WITH_COMMA.fullmatch(cell.strip()):
+        return cell.replace(",", ".")
+    return cell

@@ -7,7 +7,6 @@ written anew: of equal rows as many as there are more than ever.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,9 +21,6 @@ from calib.data.columns import POINT
 from calib.data.points_file import holds_point, parse_points
 from calib.errors import MeasurementError
 from calib.verbs.measure.devices.reading import Cells, Context
-
-#: A number with a decimal comma, in a column without a unit.
-_WITH_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 #: Signs that begin a remark.
 _REMARK = ("#", "%", "//", "!")
@@ -119,6 +115,8 @@ def bare_row(line: str, number: int, source: str, columns: Sequence[str]) -> Fou
     """
     for separator in _OF_BARE_LINES:
         cells = cells_of(line, separator, is_header=False)
+        while len(cells) > len(columns) and not cells[-1]:  # a separator at the end
+            cells.pop()
         if len(cells) != len(columns):
             continue
         table = Table(source, "", separator, tuple(columns), (number,), (cells,))
@@ -151,11 +149,8 @@ def _table_rows(table: Table) -> list[FoundRow]:
     values = table.numbers(columns)
     rows = []
     for row, (line, cells) in enumerate(zip(table.lines, table.cells, strict=True)):
-        found: dict[str, str | float] = {}
-        for label, cell in zip(table.header, cells, strict=True):
-            if label:
-                decimal = table.separator != "," and _WITH_COMMA.fullmatch(cell)
-                found[label] = cell.replace(",", ".") if decimal else cell
+        named = zip(table.header, cells, strict=True)
+        found: dict[str, str | float] = {label: cell for label, cell in named if label}
         for column, value in zip(columns, values[row].tolist(), strict=True):
             if np.isinf(value):
                 table.fail(row, column, f"'{cells[column.index][:_SHOWN]}' is not a number.")
