@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from calib.verbs.inspect.inspection import inspect as inspect
     from calib.verbs.joints.joint_table import joints as joints
     from calib.verbs.measure.aim import Aim as Aim
+    from calib.verbs.measure.devices import controllers as controllers, readers as readers
     from calib.verbs.measure.session import Session as Session
     from calib.verbs.measure.stop import Row as Row
     from calib.verbs.plan.choice import PlanRequest as PlanRequest
@@ -116,11 +117,13 @@ _NAMES = {
 }
 #: Modules by which a user extends calib: a registry each, by its name in `calib.plugins.WORDS`, and plugins.
 _EXTENSIONS = {
+    "controllers": "calib.verbs.measure.devices.controllers",
     "families": "calib.model.families",
     "formats": "calib.verbs.convert.convert",
     "kinds": "calib.data.kinds",
     "models": "calib.model.parameter_sets",
     "plugins": "calib.basics.plugins",
+    "readers": "calib.verbs.measure.devices.readers",
     "solvers": "calib.numerics.solvers",
 }
 

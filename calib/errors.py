@@ -62,6 +62,10 @@ class FileError(CalibError):
     """A file cannot be read or written: it exists already, its folder does not, or it changed."""
 
 
+class DeviceError(CalibError):
+    """An instrument or a robot that a session reads cannot be opened, does not answer, or was lost."""
+
+
 class PluginError(CalibError):
     """A plugin cannot be loaded, or a name that it registers is needed and it is not loaded."""
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import calib.basics.plugins as plugins
 from calib.data.cell import Cell  # noqa: F401  with the registries below it
-from calib.verbs.convert.convert import FORMATS  # noqa: F401  the last registry
+from calib.verbs.convert.convert import FORMATS  # noqa: F401  a registry of a verb
+from calib.verbs.measure.devices import controllers, readers  # noqa: F401  the last registries
 
-#: A family, a kind, a solver, a parameter set and a format.
+#: A family, a kind, a solver, a parameter set, a format, a reader and a controller.
 SOURCE = """
 import numpy as np
 
@@ -19,6 +20,7 @@ from calib.verbs.convert import convert
 from calib.model import families, parameter_sets
 from calib.model.error_model import Parameter
 from calib.numerics import solvers
+from calib.verbs.measure.devices import controllers, readers
 
 
 def measure(T):
@@ -65,6 +67,24 @@ families.register(
 solvers.register("twin", twin)
 parameter_sets.register("shoulder", shoulder)
 convert.register("names", convert.Format("names of the joints", (".txt",), write_names))
+
+
+class Gauge:
+    def __init__(self, argument, context):
+        self.value = float(argument)
+
+    def read(self, timeout=None):
+        return readers.Reading.of({"edge_distance [mm]": self.value})
+
+    def joints(self):
+        return np.full(6, self.value)
+
+    def close(self):
+        pass
+
+
+readers.register("gauge", readers.Reader("a gauge", Gauge))
+controllers.register("statue", controllers.Controller("a robot that never moves", Gauge))
 """
 
 #: A cell that needs the plugin: distances from a line along the base's x axis.

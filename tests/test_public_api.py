@@ -74,11 +74,13 @@ NAMES = [
 
 #: Modules by which users extend calib, and where they are defined: those with a registry, and plugins.
 MODULES = {
+    "controllers": "calib.verbs.measure.devices.controllers",
     "families": "calib.model.families",
     "formats": "calib.verbs.convert.convert",
     "kinds": "calib.data.kinds",
     "models": "calib.model.parameter_sets",
     "plugins": "calib.basics.plugins",
+    "readers": "calib.verbs.measure.devices.readers",
     "solvers": "calib.numerics.solvers",
 }
 
@@ -105,7 +107,7 @@ def test_types_checkers_see_the_same_names():
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    modules = {"families", "kinds", "solvers"}
+    modules = {"controllers", "families", "kinds", "readers", "solvers"}
     others = {None}  # modules that are assigned, as `models`
     assert seen.keys() - others == {*NAMES, *modules}
     for name in [*NAMES, *modules]:
@@ -127,7 +129,14 @@ def test_every_registry_has_a_module_with_register():
         assert getattr(calib, name) is importlib.import_module(module)
     for what in plugins.WORDS:
         assert callable(getattr(calib, what).register)
-    for module, entry in {"families": "Family", "formats": "Format", "kinds": "Kind"}.items():
+    entries = {
+        "controllers": "Controller",
+        "families": "Family",
+        "formats": "Format",
+        "kinds": "Kind",
+        "readers": "Reader",
+    }
+    for module, entry in entries.items():
         assert inspect.isclass(getattr(getattr(calib, module), entry))
     assert calib.models.Parameter is Parameter
     assert calib.solvers.Solution is Solution

@@ -1,8 +1,9 @@
 """Plugins: Python files and modules of users, whose registrations extend calib.
 
-A plugin registers families of joint errors, kinds of measurement, solvers, parameter sets and formats when it is
-imported. The registries, in higher layers, are watched from here (`watch`), so that what each plugin registered is the
-difference between their names after and before. What is loaded belongs to the process; this module alone holds it.
+A plugin registers families of joint errors, kinds of measurement, solvers, parameter sets, formats, readers of
+instruments and controllers of robots when it is imported. The registries, in higher layers, are watched from here
+(`watch`), so that what each plugin registered is the difference between their names after and before. What is loaded
+belongs to the process; this module alone holds it.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ WORDS: Mapping[str, str] = {
     "solvers": "solver",
     "models": "parameter set",
     "formats": "format",
+    "readers": "reader of an instrument",
+    "controllers": "controller of a robot",
 }
 
 #: Registries whose names must be there for a result to be read. A solver and a parameter set are not: the file has
@@ -62,6 +65,10 @@ class Plugin:
     models: tuple[str, ...] = ()
     #: Output formats
     formats: tuple[str, ...] = ()
+    #: Readers of instruments
+    readers: tuple[str, ...] = ()
+    #: Controllers of robots
+    controllers: tuple[str, ...] = ()
 
 
 #: End of a message on a name that is not registered.

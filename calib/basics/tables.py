@@ -30,7 +30,7 @@ from calib.basics.table_header import (
     trimmed,
     unit_in,
 )
-from calib.basics.units import NUMBER, Unit, find_unit, split_header
+from calib.basics.units import NUMBER, Unit, find_unit, is_unit, split_header
 from calib.basics.workbook import read_sheet, split_sheet
 from calib.errors import CalibError, FileError, MeasurementError
 
@@ -144,13 +144,30 @@ class Table:
                 than the header.
         """
         source, sha256, text = read_text(path, "The table")
+        return cls.parse(text, source, sha256)
+
+    @classmethod
+    def parse(cls, text: str, source: str, sha256: str = "") -> Table:
+        r"""Read a table from its text.
+
+        Args:
+            text: The text, with lines that end in ``\n``.
+            source: The file's name, for messages.
+            sha256: Hash of the file's bytes.
+
+        Returns:
+            The table; the numbers in its cells are not read yet.
+
+        Raises:
+            MeasurementError: The text has no header, or a row has another number of cells than the header.
+        """
         content, comments = _lines_of(text)
         named = _SEPARATOR_LINE.match(content[0][1]) if content else None
         if named is not None:
             del content[0]
         if not content:
             raise MeasurementError(
-                f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
+                f"{source}: the file is empty. A table begins with a header line, {_EXAMPLE}"
             )
         found = find_header(content, comments)
         header_line = found.lines[0][0]
@@ -275,6 +292,17 @@ class Table:
         raise MeasurementError(f"{place}, column '{column.label}': {what}")
 
 
+def has_header(text: str) -> bool:
+    r"""Return True if a text, with lines that end in ``\n``, has a header with units as calib's tables have."""
+    content, comments = _lines_of(text)
+    if not content:
+        return False
+    found = find_header(content, comments)
+    lines = [line for _, line in found.lines]
+    names = cells_of(lines[0], found.separator)
+    return found.has_units_below or any(is_unit(split_header(name)[1] or "") for name in names)
+
+
 def is_blank(text: str) -> bool:
     """Return True if a cell of a column of numbers holds none: it is empty, or has a word for that, such as NaN."""
     return text.casefold() in _MISSING
@@ -386,14 +414,30 @@ def read_text(path: str | Path, what: str) -> tuple[str, str, str]:
             source = f"{source}#{name}"
         # Two sheets of one file are two tables.
         return source, hashlib.sha256(text.encode()).hexdigest(), text
-    sha256 = hashlib.sha256(data).hexdigest()
-    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return source, hashlib.sha256(data).hexdigest(), decoded(data, source)
+
+
+def is_utf16(data: bytes) -> bool:
+    """Return True if bytes begin with the mark of UTF-16."""
+    return data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+
+
+def decoded(data: bytes, source: str) -> str:
+    r"""Return the text of a file, with lines that end in ``\n``.
+
+    Args:
+        data: Its bytes, in UTF-8, in UTF-16 with a mark, else in Windows' own encoding.
+        source: Its name, for messages.
+
+    Raises:
+        MeasurementError: It is not text.
+    """
     try:
-        text = data.decode("utf-16" if is_utf16 else "utf-8-sig")
+        text = data.decode("utf-16" if is_utf16(data) else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
     if "\0" in text:
         raise MeasurementError(
             f"{source}: this is not a text file. Save it as text (CSV, UTF-8) or as .xlsx."
         )
-    return source, sha256, text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n")

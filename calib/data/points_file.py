@@ -86,12 +86,27 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
         MeasurementError: No such file, no points in it, no unit or two; the text names the file and the line.
     """
     source, sha256, text = read_text(path, "The list of points")
+    return parse_points(text, source, sha256, unit)
+
+
+def parse_points(text: str, source: str, sha256: str = "", unit: str | None = None) -> Points:
+    r"""Read a list of points from its text, see `read_points`.
+
+    Args:
+        text: The text, with lines that end in ``\n``.
+        source: The file's name, for messages.
+        sha256: Hash of the file's bytes.
+        unit: Symbol of the unit of the coordinates; None: the text names it.
+
+    Returns:
+        The points, in metres.
+
+    Raises:
+        MeasurementError: No points, no unit or two; the text names the file and the line.
+    """
     written = text.split("\n")
     plain_lines = [_without_labels(line) for line in written]
-    with_point = (
-        i for i, line in enumerate(plain_lines) if _remark(line) is None and _separator_of(line)
-    )
-    first = next(with_point, None)
+    first = next((i for i, line in enumerate(written) if holds_point(line)), None)
     if first is None:
         raise MeasurementError(
             f"{source}: no line of it holds three numbers. A list of points has lines such as "
@@ -148,6 +163,12 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
         between = " " if separator == " " else PARTS
         names = tuple(between.join(row[i] for i in name_columns).rstrip(":") for row in cells)
     return Points(names, metres, table.lines, source, sha256, length_unit.symbol)
+
+
+def holds_point(line: str) -> bool:
+    """Return True if a line of a list holds a point, that is three numbers."""
+    plain_line = _without_labels(line)
+    return _remark(plain_line) is None and bool(_separator_of(plain_line))
 
 
 def _without_labels(line: str) -> str:

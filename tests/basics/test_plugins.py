@@ -30,6 +30,8 @@ from calib.result.calibration_file import read_result, write_result
 from calib.robot.robot import Robot
 from calib.verbs.convert.convert import FORMATS, chosen_format
 from calib.verbs.fleet.job import FleetJob, FleetOptions
+from calib.verbs.measure.devices.controllers import CONTROLLERS
+from calib.verbs.measure.devices.readers import READERS
 from calib.verbs.simulate.scenario import Scenario
 from tests.parts import of_an_earlier_version
 from tests.places import ROOT
@@ -53,10 +55,10 @@ def test_a_plugin_extends_every_registry_and_is_loaded_once(tmp_path, monkeypatc
     assert plugin.source == str(tmp_path / "my_plugin.py")
     assert (plugin.families, plugin.kinds, plugin.solvers) == (("ripple",), ("edge",), ("twin",))
     assert (plugin.models, plugin.formats) == (("shoulder",), ("names",))
-    registries = (FAMILIES, kinds.names(), SOLVERS, MODELS, FORMATS)
-    for name, registry in zip(
-        ("ripple", "edge", "twin", "shoulder", "names"), registries, strict=True
-    ):
+    assert (plugin.readers, plugin.controllers) == (("gauge",), ("statue",))
+    registries = (FAMILIES, kinds.names(), SOLVERS, MODELS, FORMATS, READERS, CONTROLLERS)
+    names = ("ripple", "edge", "twin", "shoulder", "names", "gauge", "statue")
+    for name, registry in zip(names, registries, strict=True):
         assert name in registry
     monkeypatch.chdir(tmp_path)
     assert plugins.load("my_plugin.py") is plugin
