@@ -74,8 +74,10 @@ class Course:
     stops: tuple[Stop, ...] = ()
     #: What has moved
     breaks: tuple[Break, ...] = ()
-    #: The fit to the stops that count
+    #: The fit to the stops that count, and whose places are known
     fit: RunningFit | None = None
+    #: Numbers of the stops that were fitted
+    fitted: tuple[int, ...] = ()
     #: Candidates that were skipped
     skipped: tuple[int, ...] = ()
     #: The design of the row before
@@ -101,13 +103,12 @@ class Course:
 
     def tables(self) -> list[Measurements]:
         """Return the readings of the stops that count, with names as of what has moved, and with their moves."""
-        moves = self.moves
-        result = []
-        for stop in self.counted:
-            table = relabelled(stop.row.readings, stop.number, self.breaks)
-            own = np.tile(moves[stop.number], (len(table), 1))
-            result.append(replace(table, moves=own))
-        return result
+        return [self.table(stop) for stop in self.counted]
+
+    def table(self, stop: Stop) -> Measurements:
+        """Return the readings of a stop with names as of what has moved, and with its moves."""
+        table = relabelled(stop.row.readings, stop.number, self.breaks)
+        return replace(table, moves=np.tile(self.moves[stop.number], (len(table), 1)))
 
     @cached_property
     def moves(self) -> dict[int, Array]:
@@ -258,19 +259,13 @@ class Course:
     def choice(self) -> Choice | None:
         """The poses still to be measured, the next one first; None: no candidate is left."""
         last = self.stops[-1].row.joints if self.stops else None
-        taken = [stop.row.joints for stop in self.counted]
         left_out = [*self.skipped]
-        if taken and self.design.moves is None:
-            for q in taken:
-                same = np.abs(self.design.joints - q).max(axis=1) <= SAME_POSE
-                left_out += np.flatnonzero(same).tolist()
-        elif taken:
-            assert self.design.moves is not None
-            for stop in self.counted:
-                same = np.abs(self.design.joints - stop.row.joints).max(axis=1) <= SAME_POSE
+        for stop in self.stops:
+            same = np.abs(self.design.joints - stop.row.joints).max(axis=1) <= SAME_POSE
+            if self.design.moves is not None:
                 side = np.sign(self.moves[stop.number])
                 same &= np.all(np.sign(self.design.moves) == side, axis=1)
-                left_out += np.flatnonzero(same).tolist()
+            left_out += np.flatnonzero(same).tolist()
         return self.design.choose(self.known, self.aim, last, self.planned, left_out)
 
     # What follows
@@ -331,7 +326,9 @@ class Course:
         tries = self._tries(row.joints)
         if not tries or self.fit is None or check.prediction is None:
             return []
-        if any(finding.code in ("repeated", "not_there", "swapped") for finding in check.findings):
+        # The mistake may have been made twice; that a joint is elsewhere is believed once more.
+        believed = {"repeated": _TRIES, "swapped": _TRIES, "not_there": _TRIES - 1}
+        if any(len(tries) < believed.get(finding.code, 1) for finding in check.findings):
             return []
         agreeing = []
         for stop in tries:
@@ -342,26 +339,42 @@ class Course:
         return agreeing
 
     def refitted(self) -> Course:
-        """Return the course with the fit to the stops that count."""
+        """Return the course with the fit to the stops that count.
+
+        Those since the last break are left out as long as it is not known what has moved, or where it is now.
+        """
+        stops = self.counted
+        last = self.breaks[-1] if self.breaks else None
+        before = tuple(s for s in stops if last is not None and s.number < last.stop)
+        course = self._fitted_to(stops) if last is None or last.is_decided else self
+        if last is not None and (course is self or course.fit is None):
+            return self._fitted_to(before)
+        return course
+
+    def _fitted_to(self, stops: Sequence[Stop]) -> Course:
+        """Return the course with the fit to some stops."""
         cell = cell_after(self.cell, self.breaks)
-        return replace(self, fit=RunningFit.of(self.robot, cell, self.tables(), self.fit))
+        fit = RunningFit.of(self.robot, cell, [self.table(stop) for stop in stops], self.fit)
+        return replace(self, fit=fit, fitted=tuple(stop.number for stop in stops))
 
     def _with_breaks(self) -> tuple[Course, tuple[Finding, ...]]:
         """Return the course with what has moved since a stop, and the findings that are new."""
         if self.fit is None:
             return self, ()
         open_ = bool(self.breaks) and not self.breaks[-1].is_decided
-        without = self if not open_ else replace(self, breaks=self.breaks[:-1]).refitted()
-        if without.fit is None:
+        course = self
+        if open_:
+            course = replace(self, breaks=self.breaks[:-1])
+            course = course._fitted_to(course.counted)
+        if course.fit is None or course.fitted[-1] != self.stops[-1].number:
             return self, ()
-        found = find_moved(without.fit, self.history.factor)
+        found = find_moved(course.fit, self.history.factor)
         if not found:
             return self, ()
-        numbers = [stop.number for stop in without.counted]
-        broken = Break.of(found, numbers)
+        broken = Break.of(found, course.fitted)
         if open_ and broken == self.breaks[-1]:
             return self, ()
-        course = replace(without, breaks=(*without.breaks, broken)).refitted()
+        course = replace(course, breaks=(*course.breaks, broken)).refitted()
         since = tuple(stop.number for stop in course.counted if stop.number >= broken.stop)
         name = broken.target if broken.target is not None else broken.station
         gain = {"gain": found[0].gain}
@@ -402,5 +415,4 @@ class Course:
             return ()
         flagged = self.fit.fitted.estimate.outliers
         stops = np.unique(self.fit.stops[flagged])
-        numbers = [stop.number for stop in self.counted]
-        return tuple(numbers[k] for k in stops.tolist())
+        return tuple(self.fitted[k] for k in stops.tolist())

@@ -1,12 +1,13 @@
 """Has something moved since a stop? A target that was knocked, or a base or an instrument that stands elsewhere.
 
-At the solution of the fit, with whitened residuals r, the derivative A by the parameters and their priors P, a
-displacement u from stop k on adds E_k u to what is predicted. It lowers the weighted squares by
+At the solution of the fit, with residuals r in units of their stated sigma, the derivative A by the parameters and their priors P, a
+displacement u from stop k on adds E_k u to what is predicted. It lowers the sum Q of the squares by
 
     R_k = h^T (E_k^T E_k - D^T M^-1 D)^-1 h,    M = A^T A + P,  D = A^T E_k,  h = E_k^T r - D^T M^-1 g,
 
-g = A^T r less the pull of the priors. If nothing has moved, R_k / c follows F(c, nu) with the c numbers of u that show.
-Sums from stop k to the last one give all k at once.
+g = A^T r less the pull of the priors. If nothing has moved, R_k / (c s^2) follows F(c, nu - c) with the c numbers of u
+that show and s^2 = (Q - R_k) / (nu - c): a displacement that the fit took for noise counts too. Sums from stop k to the
+last one give all k at once.
 """
 
 from __future__ import annotations
@@ -66,15 +67,18 @@ def find_moved(fit: RunningFit, factor: float) -> tuple[Moved, ...]:
         The likeliest explanation of each kind that is significant, the better first; () if nothing has moved. One
         alone if it is better than the others by far.
     """
-    freedom = fit.fitted.estimate.freedom
-    if freedom < _ENOUGH_FREEDOM:
-        return ()
     found = []
+    # Of the fit, with which others that are far off have no part.
+    of_fit = float(np.mean(np.square(fit.fitted.estimate.noise)))
     for what, name, scan in _scans(fit):
-        for k, (gain, numbers) in enumerate(scan, start=1):
-            limit = fdtri(numbers, freedom, 1.0 - _FALSE_ALARM / len(scan)) if numbers else np.inf
-            if gain / factor > numbers * limit:
-                found.append(Moved(what, name, k, gain / factor, numbers))
+        for k, (gain, numbers, square, freedom) in enumerate(scan, start=1):
+            left = freedom - numbers
+            if not numbers or left < _ENOUGH_FREEDOM:
+                continue
+            noise = min(max(square - gain, 0.0) / left, of_fit) * factor
+            limit = fdtri(numbers, left, 1.0 - _FALSE_ALARM / len(scan))
+            if gain > numbers * limit * noise:
+                found.append(Moved(what, name, k, gain / noise, numbers))
     if not found:
         return ()
     count = len(fit.rows)
@@ -90,21 +94,27 @@ def find_moved(fit: RunningFit, factor: float) -> tuple[Moved, ...]:
 
 def _scans(
     fit: RunningFit,
-) -> Iterator[tuple[Literal["target", "base"], str, list[tuple[float, int]]]]:
-    """Yield each target and each station, and what its displacement from stop 1, 2, ... on gains, with its numbers."""
+) -> Iterator[tuple[Literal["target", "base"], str, list[tuple[float, int, float, float]]]]:
+    """Yield each target and each station, and for its displacement from stop 1, 2, ... on: R_k, c, Q and nu."""
     fitted, rows, stops = fit.fitted, fit.rows, fit.stops
-    setup, estimate = fitted.setup, fitted.estimate
+    setup, estimate, cell = fitted.setup, fitted.estimate, fitted.task.cell
     problem = estimate.problem
     linear = problem.linear(estimate.x)
-    noise = problem.noise_by_scalar
-    A = linear.A / noise[:, :, None]
-    r = linear.residual(estimate.x) / noise
-    pull = problem.prior_precision * (estimate.x - problem.prior_mean)
+    A, r = linear.A, linear.residual(estimate.x)
+    # Errors as before any row: a fit that takes a displacement for noise makes them too small.
+    precision = np.array(problem.prior_precision)
+    for k, parameter in enumerate(fitted.kinematics.model.parameters):
+        if parameter.family in estimate.prior_std and parameter.name not in cell.parameter_priors:
+            precision[k] = 1.0 / cell.priors.of(parameter.family) ** 2
+    pull = precision * (estimate.x - problem.prior_mean)
     flat = A.reshape(-1, A.shape[2])
-    M = flat.T @ flat + np.diag(problem.prior_precision)
+    M = flat.T @ flat + np.diag(precision)
     g = flat.T @ r.reshape(-1) - pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
     inverse = scale[:, None] * np.linalg.inv(M * np.outer(scale, scale)) * scale
+    of_priors = precision * (estimate.x - problem.prior_mean) ** 2
+    square = float(np.sum(r**2) + np.sum(of_priors) - g @ inverse @ g)
+    freedom = float(rows.used.sum() - np.trace(inverse @ flat.T @ flat))
 
     model = error_model(
         fitted.task.robot,
@@ -116,7 +126,7 @@ def _scans(
     displaced = Kinematics(
         fitted.task.robot, model, setup.T_frame_base, setup.T_tip_target
     ).linearised(np.zeros(len(model)), rows.samples)
-    by_displacement = rows.standardise(rows.derivative(displaced)) / noise[:, :, None]
+    by_displacement = rows.standardise(rows.derivative(displaced))
     by_displacement = np.where(rows.used[:, :, None], by_displacement, 0.0)
     count = fit.count
     frames, targets = setup.places
@@ -134,13 +144,16 @@ def _scans(
             e, a = E[of_stop].reshape(-1, c), A[of_stop].reshape(-1, len(M))
             EE[stop], AE[stop] = e.T @ e, a.T @ e
             Er[stop] = e.T @ r[of_stop].reshape(-1)
+        # Sums from each stop to the last one.
+        EE, AE, Er = (np.cumsum(part[::-1], axis=0)[::-1] for part in (EE, AE, Er))
         scan = []
         for k in range(1, count):
-            D = AE[k:].sum(axis=0)
-            h = Er[k:].sum(axis=0) - D.T @ inverse @ g
-            S = EE[k:].sum(axis=0) - D.T @ inverse @ D
+            D = AE[k]
+            h = Er[k] - D.T @ inverse @ g
+            S = EE[k] - D.T @ inverse @ D
             values, vectors = np.linalg.eigh(S)
             seen = values > _SHOWN
             along = vectors[:, seen].T @ h
-            scan.append((float(np.sum(along**2 / values[seen])), int(seen.sum())))
+            gain = float(np.sum(along**2 / values[seen]))
+            scan.append((gain, int(seen.sum()), square, freedom))
         yield what, name, scan  # type: ignore[misc]

@@ -43,7 +43,7 @@ _SAME_PLACE = 0.5e-3
 
 #: Largest change of a single joint that is looked for, its first steps, and the least that is no noise [rad or m].
 _JOINT_OFF = 0.6
-_JOINT_STEP = 0.03
+_JOINT_STEP = 0.15
 _LEAST_JOINT = 2e-3
 
 #: Deviations of this many times the limit are no accident if they are the same when the stop is measured again.
