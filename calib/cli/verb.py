@@ -158,7 +158,8 @@ class _OfEveryVerb:
             "--plugin",
             metavar="FILE|MODULE",
             help="Python file (.py) or importable module with your own families of errors, kinds of measurement, "
-            "solvers, parameter sets or formats; it is loaded before anything else. Can be repeated.",
+            "solvers, parameter sets, formats, readers of instruments or controllers of robots; it is loaded before "
+            "anything else. Can be repeated.",
         ),
     ] = None
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False

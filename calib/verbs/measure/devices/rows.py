@@ -7,6 +7,7 @@ written anew: of equal rows as many as there are more than ever.
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from calib.basics.table_header import BLANK, cells_of
 from calib.basics.tables import Column, Table, has_header
 from calib.basics.units import split_header
 from calib.data.columns import POINT
+from calib.data.forms.points import Points
 from calib.data.points_file import holds_point, parse_points
 from calib.errors import MeasurementError
 from calib.verbs.measure.devices.reading import Cells, Context
@@ -27,6 +29,9 @@ _REMARK = ("#", "%", "//", "!")
 
 #: Separators of a line without a header, in the order in which they are tried: a comma may be decimal.
 _OF_BARE_LINES = (";", "\t", "|", ",", BLANK)
+
+#: Nothing in a cell is so far from an instrument [m].
+_FAR = 100.0
 
 #: Most characters of a line that a message shows.
 _SHOWN = 80
@@ -62,7 +67,7 @@ def rows_of(text: str, source: str, context: Context) -> list[FoundRow]:
         ]
     if not any(map(has_content, text.split("\n"))):
         return []
-    points = parse_points(text, source, unit=context.points_unit)
+    points = _points_of(text, source, context.points_unit)
     rows = []
     for i, line in enumerate(points.lines):
         cells: dict[str, str | float] = {}
@@ -72,6 +77,25 @@ def rows_of(text: str, source: str, context: Context) -> list[FoundRow]:
         cells |= {f"{axis} [m]": float(x) for axis, x in zip(POINT, points.points[i], strict=True)}
         rows.append(FoundRow(line, cells))
     return rows
+
+
+def _points_of(text: str, source: str, unit: str | None) -> Points:
+    """Read a list of points; MeasurementError if it is malformed.
+
+    One point alone may leave open what its commas are, as in ``512,250 -30,500 800,125``. They are decimal if the point
+    would be far out of any cell otherwise: 512 m away.
+    """
+    try:
+        return parse_points(text, source, unit=unit)
+    except MeasurementError:
+        read = {}
+        for sign in ("comma", "point"):
+            with contextlib.suppress(MeasurementError):
+                read[sign] = parse_points(f"{text}\n# Decimal: {sign}", source, unit=unit)
+        is_near = "point" in read and np.abs(read["point"].points).max() < _FAR
+        if is_near or "comma" not in read:
+            raise
+        return read["comma"]
 
 
 def has_content(line: str) -> bool:

@@ -54,7 +54,8 @@ class Moves:
 
     def joints(self):
         if self.steps:
-            self.q = self.q + [0, 0, 0, 0, 0, math.radians(self.steps.pop(0))]
+            self.q = self.q.copy()
+            self.q[5] += math.radians(self.steps.pop(0))
         return self.q
 
     def close(self) -> None:

@@ -45,6 +45,13 @@ def test_points_named_as_targets_say_their_targets():
     ]
 
 
+def test_commas_that_could_be_either_are_decimal_in_a_cell():
+    (row,) = rows_of("# Units: mm\nP1 512,250 -30,500 800,125\n", "a.txt", UR)
+    assert xyz(row.cells) == pytest.approx([0.51225, -0.0305, 0.800125])
+    with pytest.raises(MeasurementError, match="may be decimal or stand between thousands"):
+        rows_of("# Units: um\nP1 512,250 -30,500 800,125\n", "a.txt", UR)  # half a metre, or 0.5 mm
+
+
 @pytest.mark.parametrize(
     "line",
     ["1.5 -2.25 3", "1,5 -2,25 3", "1,5; -2,25; 3;", "1.5,-2.25,3", "1,5\t-2,25\t3", "1.5|-2.25|3"],
