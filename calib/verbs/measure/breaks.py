@@ -6,17 +6,19 @@ that no stop is lost.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, read_only
 from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.fit.registration.setup import Setup
 from calib.model.error_model import FRAME, TARGET
+from calib.model.parameter_sets import DIRECTIONS, placed_name
 from calib.verbs.measure.moved import Moved
 from calib.verbs.measure.stop import Code
 from calib.verbs.plan.sensitivity import Sensitivity
@@ -27,7 +29,12 @@ T = TypeVar("T")
 _STATION = "station"
 
 
-@dataclass(frozen=True, slots=True)
+#: Standard deviation of how far something moves that is knocked, along each axis [m] and about it [rad].
+_KNOCKED_LENGTH = 0.02
+_KNOCKED_ANGLE = float(np.deg2rad(2.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Break(Value):
     """Something has moved before a stop."""
 
@@ -37,17 +44,42 @@ class Break(Value):
     target: str | None
     #: The station that may have moved, or whose base has; None: none
     station: str | None
+    #: Shape (4, 4), T_tip_target before it moved [m]; None: no target
+    T_tip_target: Array | None
+    #: Shape (4, 4), T_frame_base before it moved [m]; None: no station
+    T_frame_base: Array | None
 
     @classmethod
-    def of(cls, found: Sequence[Moved], numbers: Sequence[int]) -> Break:
-        """Make a break of what may have moved, the likeliest first, by the numbers of the stops of the fit."""
+    def of(cls, found: Sequence[Moved], numbers: Sequence[int], setup: Setup) -> Break:
+        """Make a break of what may have moved, the likeliest first.
+
+        Args:
+            found: What may have moved.
+            numbers: Numbers of the stops of the fit.
+            setup: Frames and targets as that estimated them.
+        """
         targets = [moved.name for moved in found if moved.what == "target"]
         stations = [moved.name for moved in found if moved.what == "base"]
+        T_tip_target = T_frame_base = None
+        if targets:
+            T_tip_target = read_only(setup.T_tip_target[setup.targets.index(targets[0])])
+        if stations:
+            T_frame_base = read_only(setup.T_frame_base[setup.groups.index(stations[0])])
         return cls(
             numbers[found[0].first],
             targets[0] if targets else None,
             stations[0] if stations else None,
+            T_tip_target,
+            T_frame_base,
         )
+
+    def same_as(self, other: Break) -> bool:
+        """Return whether another break says that the same has moved."""
+        mine, theirs = (
+            (self.stop, self.target, self.station),
+            (other.stop, other.target, other.station),
+        )
+        return mine == theirs
 
     @property
     def is_decided(self) -> bool:
@@ -95,26 +127,57 @@ def _last(name: str, k: int) -> str:
     return f"{origin} ({k})" if name.endswith(f" ({k})") else name
 
 
-def cell_after(cell: Cell, breaks: Sequence[Break]) -> Cell:
-    """Return the cell with what it says of targets and stations for their new names too, and new places not known."""
+def cell_after(
+    cell: Cell, breaks: Sequence[Break], occurring: Collection[str], *, rotation: bool
+) -> Cell:
+    """Return the cell with what it says of targets and stations for their new names too.
+
+    They stand about where they stood, within what a knock moves.
+
+    Args:
+        cell: As it was at the beginning.
+        breaks: What has moved.
+        occurring: Names of targets and stations that were measured.
+        rotation: Whether the orientation of targets is estimated.
+    """
     for k, broken in enumerate(breaks, start=2):
-        if broken.target is not None:
-            old, new = _origin(broken.target), f"{_origin(broken.target)} ({k})"
+        priors = dict(cell.parameter_priors)
+        old, new = _names(broken.target, k, "")
+        if new in occurring and broken.T_tip_target is not None:
+            directions = DIRECTIONS if rotation else DIRECTIONS[:3]
+            priors |= {placed_name("target", d, new): _knocked(d) for d in directions}
             cell = replace(
-                cell, boards=_also(cell.boards, old, new), tips=_also(cell.tips, old, new)
+                cell,
+                boards=_also(cell.boards, old, new),
+                tips=_also(cell.tips, old, new),
+                targets={**cell.targets, new: broken.T_tip_target[:3, 3]},
+                estimate_target=True,
             )
-        if broken.station is not None:
-            old = _origin(broken.station)
-            new = f"{old or _STATION} ({k})"
+        old, new = _names(broken.station, k, _STATION)
+        if new in occurring and broken.T_frame_base is not None:
+            priors |= {placed_name("frame", d, new): _knocked(d) for d in DIRECTIONS}
             cell = replace(
                 cell,
                 cameras=_also(cell.cameras, old, new),
                 bases=_also(cell.bases, old, new),
+                frames={**cell.frames, new: broken.T_frame_base},
                 estimate_frame=True,
             )
-    if any(broken.target is not None for broken in breaks):
-        cell = replace(cell, estimate_target=True)
+        cell = replace(cell, parameter_priors=priors)
     return cell
+
+
+def _names(moved: str | None, k: int, unnamed: str) -> tuple[str, str]:
+    """Return the name of what has moved at the beginning, and since break k; both empty if nothing has."""
+    if moved is None:
+        return "", ""
+    origin = _origin(moved)
+    return origin, f"{origin or unnamed} ({k})"
+
+
+def _knocked(direction: str) -> float:
+    """Return the standard deviation of a knock along or about an axis, by its name in `DIRECTIONS`."""
+    return _KNOCKED_ANGLE if direction.startswith("r") else _KNOCKED_LENGTH
 
 
 def _also(entries: Mapping[str, T], old: str, new: str) -> Mapping[str, T]:

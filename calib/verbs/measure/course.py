@@ -74,10 +74,8 @@ class Course:
     stops: tuple[Stop, ...] = ()
     #: What has moved
     breaks: tuple[Break, ...] = ()
-    #: The fit to the stops that count, and whose places are known
+    #: The fit to the stops that count
     fit: RunningFit | None = None
-    #: Numbers of the stops that were fitted
-    fitted: tuple[int, ...] = ()
     #: Candidates that were skipped
     skipped: tuple[int, ...] = ()
     #: The design of the row before
@@ -338,24 +336,17 @@ class Course:
                 agreeing.append(stop.number)
         return agreeing
 
+    @property
+    def cell_now(self) -> Cell:
+        """The cell with what has moved as further targets and stations."""
+        tables = self.tables()
+        occurring = {name for table in tables for name in (*table.targets, *table.groups)}
+        rotation = self.design.sensitivity.setup.rotation
+        return cell_after(self.cell, self.breaks, occurring, rotation=rotation)
+
     def refitted(self) -> Course:
-        """Return the course with the fit to the stops that count.
-
-        Those since the last break are left out as long as it is not known what has moved, or where it is now.
-        """
-        stops = self.counted
-        last = self.breaks[-1] if self.breaks else None
-        before = tuple(s for s in stops if last is not None and s.number < last.stop)
-        course = self._fitted_to(stops) if last is None or last.is_decided else self
-        if last is not None and (course is self or course.fit is None):
-            return self._fitted_to(before)
-        return course
-
-    def _fitted_to(self, stops: Sequence[Stop]) -> Course:
-        """Return the course with the fit to some stops."""
-        cell = cell_after(self.cell, self.breaks)
-        fit = RunningFit.of(self.robot, cell, [self.table(stop) for stop in stops], self.fit)
-        return replace(self, fit=fit, fitted=tuple(stop.number for stop in stops))
+        """Return the course with the fit to the stops that count."""
+        return replace(self, fit=RunningFit.of(self.robot, self.cell_now, self.tables(), self.fit))
 
     def _with_breaks(self) -> tuple[Course, tuple[Finding, ...]]:
         """Return the course with what has moved since a stop, and the findings that are new."""
@@ -364,15 +355,19 @@ class Course:
         open_ = bool(self.breaks) and not self.breaks[-1].is_decided
         course = self
         if open_:
-            course = replace(self, breaks=self.breaks[:-1])
-            course = course._fitted_to(course.counted)
-        if course.fit is None or course.fitted[-1] != self.stops[-1].number:
+            course = replace(self, breaks=self.breaks[:-1]).refitted()
+        if course.fit is None:
             return self, ()
-        found = find_moved(course.fit, self.history.factor)
+        numbers = [stop.number for stop in self.counted]
+        # Before frames, targets and robot were determined nothing that moved could be told from them.
+        first = -(-self.design.workspace.rank // self.design.measured.shape[1])
+        if course.breaks:
+            first = max(first, 1 + sum(number <= course.breaks[-1].stop for number in numbers))
+        found = find_moved(course.fit, self.history.factor, first)
         if not found:
             return self, ()
-        broken = Break.of(found, course.fitted)
-        if open_ and broken == self.breaks[-1]:
+        broken = Break.of(found, numbers, course.fit.fitted.estimated_setup())
+        if open_ and broken.same_as(self.breaks[-1]):
             return self, ()
         course = replace(course, breaks=(*course.breaks, broken)).refitted()
         since = tuple(stop.number for stop in course.counted if stop.number >= broken.stop)
@@ -415,4 +410,5 @@ class Course:
             return ()
         flagged = self.fit.fitted.estimate.outliers
         stops = np.unique(self.fit.stops[flagged])
-        return tuple(self.fitted[k] for k in stops.tolist())
+        numbers = [stop.number for stop in self.counted]
+        return tuple(numbers[k] for k in stops.tolist())

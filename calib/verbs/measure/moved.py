@@ -1,13 +1,14 @@
 """Has something moved since a stop? A target that was knocked, or a base or an instrument that stands elsewhere.
 
-At the solution of the fit, with residuals r in units of their stated sigma, the derivative A by the parameters and their priors P, a
-displacement u from stop k on adds E_k u to what is predicted. It lowers the sum Q of the squares by
+At the solution of the fit, with residuals r in units of their stated sigma, the derivative A by the parameters and
+their priors P, a displacement u from stop k on adds E_k u to what is predicted. It lowers the sum Q of the squares by
 
     R_k = h^T (E_k^T E_k - D^T M^-1 D)^-1 h,    M = A^T A + P,  D = A^T E_k,  h = E_k^T r - D^T M^-1 g,
 
 g = A^T r less the pull of the priors. If nothing has moved, R_k / (c s^2) follows F(c, nu - c) with the c numbers of u
 that show and s^2 = (Q - R_k) / (nu - c): a displacement that the fit took for noise counts too. Sums from stop k to the
-last one give all k at once.
+last one give all k at once. Two explanations are compared by their likelihood with the noise not known,
+nu log (Q - R_k), with log n for each of their c numbers (G. Schwarz, 1978).
 """
 
 from __future__ import annotations
@@ -30,8 +31,11 @@ _FALSE_ALARM = 1e-4
 #: Degrees of freedom of the noise from which on a displacement can be told.
 _ENOUGH_FREEDOM = 6.0
 
-#: Squares by which one explanation has to be better than the other to be named alone.
+#: By how much -2 log of the likelihood of one explanation has to be less than another's for it to be named alone.
 _DECIDED = 12.0
+
+#: Least share of the squares that an explanation leaves.
+_TINY = 1e-9
 
 #: Directions of a displacement that show less than this share of what shows best are not seen.
 _SEEN = 1e-6
@@ -50,18 +54,19 @@ class Moved(Value):
     name: str
     #: Index of the first stop after it, from 0
     first: int
-    #: By how much it lowers the weighted squares
+    #: R_k over the noise: the squares that it explains
     gain: float
-    #: Number of its directions that show
-    numbers: int
+    #: -2 log of its likelihood: the least is the best explanation
+    cost: float
 
 
-def find_moved(fit: RunningFit, factor: float) -> tuple[Moved, ...]:
+def find_moved(fit: RunningFit, factor: float, first: int) -> tuple[Moved, ...]:
     """Find a displacement in the stops of a fit.
 
     Args:
         fit: The fit, to the stops in the order of their measurement.
         factor: Mean square of stops that are good, see `calib.verbs.measure.row_check.History`.
+        first: Index of the first stop before which something may have moved, from 0.
 
     Returns:
         The likeliest explanation of each kind that is significant, the better first; () if nothing has moved. One
@@ -73,23 +78,19 @@ def find_moved(fit: RunningFit, factor: float) -> tuple[Moved, ...]:
     for what, name, scan in _scans(fit):
         for k, (gain, numbers, square, freedom) in enumerate(scan, start=1):
             left = freedom - numbers
-            if not numbers or left < _ENOUGH_FREEDOM:
+            if k < first or not numbers or left < _ENOUGH_FREEDOM:
                 continue
             noise = min(max(square - gain, 0.0) / left, of_fit) * factor
             limit = fdtri(numbers, left, 1.0 - _FALSE_ALARM / len(scan))
             if gain > numbers * limit * noise:
-                found.append(Moved(what, name, k, gain / noise, numbers))
-    if not found:
-        return ()
-    count = len(fit.rows)
-    # More numbers explain more: what each is worth by chance is taken off (G. Schwarz, 1978).
-    worth = {id(m): m.gain - m.numbers * np.log(max(count, 2)) for m in found}
+                left_over = max(square - gain, _TINY * square)
+                cost = freedom * np.log(left_over) + numbers * np.log(fit.rows.count)
+                found.append(Moved(what, name, k, gain / noise, float(cost)))
     best: dict[tuple[str, str], Moved] = {}
-    for moved in sorted(found, key=lambda m: -worth[id(m)]):
+    for moved in sorted(found, key=lambda moved: moved.cost):
         best.setdefault((moved.what, moved.name), moved)
-    ranked = sorted(best.values(), key=lambda m: -worth[id(m)])
-    least = worth[id(ranked[0])] - _DECIDED
-    return tuple(moved for moved in ranked if worth[id(moved)] >= least)
+    ranked = tuple(best.values())
+    return tuple(moved for moved in ranked if moved.cost <= ranked[0].cost + _DECIDED)
 
 
 def _scans(

@@ -23,6 +23,7 @@ from calib.fit.estimate.fitting import Fitted, fit
 from calib.fit.estimate.problem import Problem
 from calib.fit.estimate.task import Task
 from calib.fit.registration.rows import Rows
+from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.instruments.internals import with_starts
 from calib.model.internals import InternalValues
@@ -105,12 +106,14 @@ class RunningFit(Value):
             is_auto = cell.model == AUTO
             name = PLANNED_FOR_AUTO if is_auto else cell.model
             task = Task(robot, cell, setup, name, allow_absent=is_auto)
-            registered = None
             near: tuple[Fitted, ...] = ()
-            same = before is not None and before.fitted.setup.groups == setup.groups
-            if same and before is not None and before.fitted.setup.targets == setup.targets:
-                near = (before.fitted,)
-                registered = before.fitted.setup if len(tables) > _REGISTERED else None
+            registered = None
+            if before is not None:
+                known = before.fitted.setup
+                is_same = (known.groups, known.targets) == (setup.groups, setup.targets)
+                near = (before.fitted,) if is_same else ()
+                if len(tables) > _REGISTERED or not is_same:
+                    registered = _where_they_were(setup, known)
             return cls(fit(task, rows, registered=registered, near=near), rows, stops, cell)
         except MeasurementError:
             return None
@@ -189,7 +192,9 @@ class RunningFit(Value):
     def _rows(self, table: Measurements) -> Rows:
         """Return the readings of a stop as rows with the numbers that frames and targets have in the fit."""
         setup = self.fitted.setup
-        rows, own = rows_and_setup(self.fitted.task.robot, table, self.cell)
+        # Where they are is known from the fit.
+        cell = replace(self.cell, frames={}, targets={})
+        rows, own = rows_and_setup(self.fitted.task.robot, table, cell)
         frame = np.array([setup.groups.index(name) for name in own.groups])
         target = np.array([setup.targets.index(name) for name in own.targets])
         samples = replace(
@@ -213,3 +218,21 @@ class RunningFit(Value):
 def _stop_of_rows(tables: Sequence[Measurements]) -> Integers:
     """Return the number of the stop of each row, from 0."""
     return np.repeat(np.arange(len(tables)), [len(table) for table in tables])
+
+
+def _where_they_were(setup: Setup, before: Setup) -> Setup | None:
+    """Return a setup with frames and targets where an earlier fit began, or as given; None if one is neither."""
+    frames, targets = [], []
+    for k, name in enumerate(setup.groups):
+        if name in before.groups:
+            frames.append(before.T_frame_base[before.groups.index(name)])
+        elif setup.frame_given[k]:
+            frames.append(setup.T_frame_base[k])
+    for k, name in enumerate(setup.targets):
+        if name in before.targets:
+            targets.append(before.T_tip_target[before.targets.index(name)])
+        elif setup.target_given[k]:
+            targets.append(setup.T_tip_target[k])
+    if len(frames) < len(setup.groups) or len(targets) < len(setup.targets):
+        return None
+    return setup.with_poses(np.stack(frames), np.stack(targets))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from calib.basics.arguments import check_callable, check_flags, check_path, check_type, check_whole
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, read_only
 from calib.basics.dates import date_text, now
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.cell import Cell
@@ -28,7 +28,7 @@ from calib.result.calibrate import calibrate
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.verbs.measure.aim import Aim
-from calib.verbs.measure.breaks import Break, cell_after
+from calib.verbs.measure.breaks import Break
 from calib.verbs.measure.course import Course, CurvePoint
 from calib.verbs.measure.design import Design
 from calib.verbs.measure.journal import Journal
@@ -200,7 +200,7 @@ class Session:
     @property
     def cell(self) -> Cell:
         """The cell, with what has moved as further targets and stations: `measurements` belong to it."""
-        return cell_after(self._settings.cell, self._course.breaks)
+        return self._course.cell_now
 
     @property
     def aim(self) -> Aim:
@@ -599,7 +599,9 @@ def _answer_event(course: Course, answer: Answer) -> dict[str, Any]:
         "before_m": answer.before,
         "after_m": answer.after,
         "counted": [stop.number for stop in course.counted],
-        "breaks": [[b.stop, b.target, b.station] for b in course.breaks],
+        "breaks": [
+            [b.stop, b.target, b.station, b.T_tip_target, b.T_frame_base] for b in course.breaks
+        ],
         "curve_m": None
         if point is None
         else [point.stop, point.stops, point.error, point.low, point.high],
@@ -632,6 +634,18 @@ def _answered(course: Course, row: Row, event: Mapping[str, Any]) -> tuple[Cours
     return replace(
         course,
         stops=tuple(stops),
-        breaks=tuple(Break(*broken) for broken in event["breaks"]),
+        breaks=tuple(_break_of(*broken) for broken in event["breaks"]),
         curve=curve,
     ), answer
+
+
+def _break_of(
+    stop: int,
+    target: str | None,
+    station: str | None,
+    T_tip_target: Any,  # noqa: ANN401  any JSON
+    T_frame_base: Any,  # noqa: ANN401
+) -> Break:
+    """Return a break from its entries in the journal."""
+    poses = [None if T is None else read_only(np.array(T)) for T in (T_tip_target, T_frame_base)]
+    return Break(stop, target, station, *poses)
