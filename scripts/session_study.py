@@ -243,7 +243,8 @@ def fewest(
 
 def run_session(_: None, case: Case) -> dict[str, Any]:
     """Run a session, and return its figures in SI units."""
-    from calib.verbs.measure.session import Aim, Session
+    from calib.verbs.measure.aim import Aim
+    from calib.verbs.measure.session import Session
 
     setting = draw(case)
     least = len(setting.sensitivity.names) // (3 if case.kind == "points" else 6) + 2
@@ -265,7 +266,7 @@ def run_session(_: None, case: Case) -> dict[str, Any]:
             setting.robot,
             setting.known,
             Aim(error=aim),
-            collisions=None,
+            collisions=False,
             seed=case.seed,
         )
         with session:
@@ -295,10 +296,7 @@ def run_session(_: None, case: Case) -> dict[str, Any]:
         (n for n in range(least, len(joints) + 1) if setting.limit(joints[:n]) <= aim), len(joints)
     )
     # What was knocked is displaced for the rows after it only, and the session says which of the two it calibrates.
-    truth = setting.virtual.truth
-    predicted = result.predict_poses(
-        setting.everywhere, target=truth.targets[0], group=truth.groups[0]
-    )
+    predicted = result.predict_poses(setting.everywhere, group=result.setup.groups[0])
     cells = (setting.virtual, operator.now)
     error = min(true_error(cell, setting.everywhere, predicted) for cell in cells)
     return {

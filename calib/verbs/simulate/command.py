@@ -268,8 +268,7 @@ def _simulate_session(
             result = session.calibrate()
         state = session.state
     q = everywhere(virtual)
-    names = virtual.truth
-    predicted = result.predict_poses(q, target=names.targets[0], group=names.groups[0])
+    predicted = result.predict_poses(q, group=result.setup.groups[0])
     true = min(true_error(of, q, predicted) for of in (virtual, operator.now))
     write_session_truth(operator, stops, seed, truth, overwrite=force)
     if not quiet:
