@@ -38,6 +38,8 @@ from calib.model.kinematics import Samples
 from calib.numerics.errors import rms
 from calib.result.table_fits import fit_table
 from calib.robot.robot import Robot
+from calib.verbs.measure.aim import Aim
+from calib.verbs.measure.session import Session
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.plan import plan
@@ -74,8 +76,9 @@ LINKS = {
 #: Kind of measurement by its word.
 KINDS = {"points": "point", "poses": "pose", "pixels": "pixel"}
 
-#: Noise of an orientation about each axis [rad], and of an image coordinate [px].
-ANGLE, PIXEL = float(np.radians(0.01)), 0.3
+#: Noise of a coordinate [m], as that of a usual tracker at 3 m with a robot's repeatability; of an orientation about
+#: each axis [rad]; of an image coordinate [px].
+LENGTH, ANGLE, PIXEL = 4e-5, float(np.radians(0.01)), 0.3
 
 #: A board on a plate of aluminium: scale, a corner's place and sag [m]. A print on paper would be all that counts.
 SCALE, CORNER, SAG = 2e-5, 2e-5, 1e-4
@@ -119,6 +122,7 @@ class Case:
     seed: int
     mistakes: bool
     model: str
+    stated: bool  # The session is told the noise of a coordinate; else it assumes the usual one
 
     @property
     def key(self) -> str:
@@ -188,6 +192,8 @@ def draw(case: Case) -> Setting:
     base, tip = LINKS[case.robot]
     kind = KINDS[case.kind]
     cell = Cell(kind=kind, estimate_frame=True, model=case.model)
+    if case.stated and kind != "pixel":
+        cell = replace(cell, sigma={"m": LENGTH})
     if kind == "pixel":
         if case.seed % 2:
             base, tip = tip, base
@@ -199,7 +205,7 @@ def draw(case: Case) -> Setting:
         )
         cell = replace(cell, boards={"": board}, sigma={"px": PIXEL})
     elif kind == "pose":
-        cell = replace(cell, sigma={"rad": ANGLE})
+        cell = replace(cell, sigma={**cell.sigma, "rad": ANGLE})
     arm = Robot.load(case.robot, base, tip)
     errors = "placement" if case.model == "auto" else case.model
     virtual = Scenario(arm, cell, errors).draw(case.seed)
@@ -243,9 +249,6 @@ def fewest(
 
 def run_session(_: None, case: Case) -> dict[str, Any]:
     """Run a session, and return its figures in SI units."""
-    from calib.verbs.measure.aim import Aim
-    from calib.verbs.measure.session import Session
-
     setting = draw(case)
     least = len(setting.sensitivity.names) // (3 if case.kind == "points" else 6) + 2
     best = setting.plan(BEST).rms_high
@@ -284,7 +287,8 @@ def run_session(_: None, case: Case) -> dict[str, Any]:
                         ],
                         "mistake": mistake and asdict(mistake),
                         "high_m": stop.high,
-                        "seconds": stop.seconds,
+                        "next_seconds": stop.seconds[0],
+                        "add_seconds": stop.seconds[1],
                     }
                 )
             state = session.state
@@ -341,7 +345,8 @@ def run_all(options: Namespace) -> None:
     cases = []
     for k in range(options.count):
         robot, kind = pairs[k % len(pairs)]
-        cases.append(Case(robot, kind, options.first + k, options.mistakes, options.model))
+        seed = options.first + k
+        cases.append(Case(robot, kind, seed, options.mistakes, options.model, not options.assumed))
     done = read_sessions(options.out)
     write_lines(options.out, done)
     known = {of_session(session).key for session in done}
@@ -378,7 +383,9 @@ def accuracy_rows(sessions: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
         }
         error = values["true_m"] / values["aim_m"]
         late = values["stops"] - values["needed"]
-        adds = np.array([row["seconds"] for session in group for row in session["rows"]])
+        rows = [row for session in group for row in session["rows"]]
+        adds = np.array([row["add_seconds"] for row in rows])
+        nexts = np.array([row["next_seconds"] for row in rows])
         yield [
             name,
             len(group),
@@ -391,7 +398,8 @@ def accuracy_rows(sessions: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
             f"{np.mean(values['stops'] / values['planned']):.2f}",
             f"{100 * np.mean(late > LATE):.0f} %",
             f"{100 * np.mean([not session['reached'] for session in group]):.0f} %",
-            f"{np.median(adds):.2f}, {adds.max():.2f}" if len(adds) else "",
+            f"{np.median(adds):.2f}, {adds.max():.2f}",
+            f"{np.median(nexts):.2f}, {nexts.max():.2f}",
         ]
 
 
@@ -474,6 +482,7 @@ def print_tables(path: Path) -> None:
             f"late by more than {LATE}",
             "not reached",
             "add [s]: median, most",
+            "next [s]: median, most",
         ),
         accuracy_rows(sessions),
     )
@@ -495,6 +504,7 @@ def main() -> None:
     runs.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first one")
     runs.add_argument("--mistakes", action="store_true", help="the operator makes some")
     runs.add_argument("--model", default="placement", help="of the fit and of the robot's errors")
+    runs.add_argument("--assumed", action="store_true", help="the session is not told the noise")
     runs.add_argument("--out", type=Path, required=True, help="file, one line a session")
     runs.add_argument("--workers", type=int, default=1, help="number of processes")
     tables = verbs.add_parser("table", help="print the tables")

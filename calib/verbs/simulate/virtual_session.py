@@ -40,8 +40,8 @@ class VirtualStop(Value):
     answer: Answer
     #: Expected error after it, of which 95 % of calibrations are better [m]; None: not known yet.
     high: float | None
-    #: Time that the session took for its answer and its state [s].
-    seconds: float
+    #: Time that the session took to propose it, and for its answer with the state [s].
+    seconds: tuple[float, float]
 
 
 def known_cell(virtual: VirtualCell, seed: int) -> Cell:
@@ -95,7 +95,9 @@ def measure_with(session: Session, operator: Operator, most: int) -> Iterator[Vi
     """
     state = session.state
     while state.measured < most and not state.reached:
+        began = time.perf_counter()
         proposed = session.next()
+        proposing = time.perf_counter() - began
         if proposed is None:
             return
         again = proposed.why == "again"
@@ -108,7 +110,7 @@ def measure_with(session: Session, operator: Operator, most: int) -> Iterator[Vi
         began = time.perf_counter()
         answer = session.add(Row(measurement.joints, measurement.readings, moves))
         state = session.state
-        seconds = time.perf_counter() - began
+        seconds = (proposing, time.perf_counter() - began)
         yield VirtualStop(proposed, measurement, answer, state.high, seconds)
 
 
