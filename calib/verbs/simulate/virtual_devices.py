@@ -1,6 +1,7 @@
-"""A virtual instrument as a reader of sessions: ``calib measure --reader virtual:3`` needs no robot.
+"""A virtual instrument and a virtual robot for sessions: ``calib measure --reader virtual:3`` needs no hardware.
 
-It has the robot and the cell of the session, with errors drawn by a seed, and measures where the session proposes.
+The instrument has the robot and the cell of the session, with errors drawn by a seed, and measures where the session
+proposes. The joint values that are noted are the proposed ones, as if they were typed.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.basics.arrays import Array
+from calib.basics.units import split_header
 from calib.errors import DeviceError
 from calib.verbs.measure.devices.reading import Context, Reading
 from calib.verbs.simulate.operator import NO_MISTAKES, USUAL_MISTAKES, Operator
@@ -71,15 +73,41 @@ class VirtualReader:
         """Nothing is open."""
 
 
+class VirtualController:
+    """A robot that stands where it is proposed."""
+
+    def __init__(self, argument: str, _: Context) -> None:
+        """Refuse an argument: the robot is that of the session."""
+        if argument:
+            raise DeviceError(
+                f"The controller 'virtual' takes nothing after its name, not '{argument}'."
+            )
+        self._joints: Array | None = None
+
+    def propose(self, joints: Array) -> None:
+        """Drive to a pose, shape (m,), [rad] or [m]."""
+        self._joints = np.array(joints, dtype=np.float64)
+
+    def joints(self) -> Array:
+        """Return where the robot stands, shape (m,), [rad] or [m]; DeviceError if no pose was proposed yet."""
+        if self._joints is None:
+            raise DeviceError("The virtual robot waits for a pose; none was proposed yet.")
+        return self._joints
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
 def _cells(table: Measurements) -> tuple[dict[str, str | float], ...]:
     """Return the rows of a table as cells by header, without those of the joints and of the row's number."""
     left_out = {"row", "set"}
     columns = {
         header: cells
         for header, cells in table.columns().items()
-        if header not in left_out and header.split(" [")[0] not in table.joint_names
+        if header not in left_out and split_header(header)[0] not in table.joint_names
     }
-    return tuple(
-        {header: cells[k] for header, cells in columns.items() if cells[k] != ""}  # type: ignore[misc]
-        for k in range(len(table))
-    )
+    rows = []
+    for k in range(len(table)):
+        cells = {header: values[k] for header, values in columns.items()}
+        rows.append({h: c for h, c in cells.items() if isinstance(c, (str, float)) and c != ""})
+    return tuple(rows)
