@@ -91,9 +91,33 @@ def test_what_counts_as_named():
         ("missed", True, True),
     ]
     table = {line[0]: line[1:] for line in study.mistake_rows([{"rows": rows}])}
-    assert table["gross"] == [1, "100.0 %", "100.0 %"]
-    assert table["all"] == [5, "80.0 %", "60.0 %"]
+    assert table["gross"] == [1, "100.0 %", "100.0 %", "100.0 %"]
+    assert table["all"] == [5, "80.0 %", "60.0 %", "80.0 %"]
     assert table["none (false alarms)"][:2] == [2, "50.0 %"]
+
+
+def test_what_is_found_later_counts_as_that():
+    rows = [
+        row(1, wrong="gross"),
+        row(2, wrong="target_moved"),
+        row(3, wrong="target_moved", since=2),
+        row(4, found="something_moved", wrong="target_moved", since=2),
+    ]
+    session = {"rows": rows, "found": [{"code": "gross", "stops": [1]}]}
+    judged = [(j.code, j.named, j.ever) for j in study.judgements(session)]
+    assert judged == [("gross", False, True), ("target_moved", False, True)]
+    assert [j.ever for j in study.judgements({"rows": rows[:3]})] == [False, False]
+
+
+def test_a_session_that_failed_did_not_meet_its_aim():
+    done = {"robot": "ur3", "kind": "points", "aim_m": 1e-4, "nominal_m": 1e-3, "mistakes": True}
+    rows = [{"add_seconds": 0.1, "next_seconds": 0.2}]
+    good = {**done, "true_m": 5e-5, "stops": 20, "needed": 19, "reached": True, "rows": rows}
+    failed = {**done, "true_m": None, "reached": False, "failed": "no", "rows": rows}
+    *_, line = study.accuracy_rows([good, failed, good, good])
+    assert line[:2] == ["all", 4]
+    assert line[4:10] == ["75.0 %", "0.50, inf", "20.0", "-", "-", "1.05"]
+    assert line[11] == "25.0 %"
 
 
 @pytest.mark.slow
