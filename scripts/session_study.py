@@ -34,10 +34,14 @@ from calib.basics.arrays import Array
 from calib.basics.jobs import run
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
+from calib.errors import CalibError
 from calib.model.kinematics import Samples
 from calib.numerics.errors import rms
 from calib.result.table_fits import fit_table
 from calib.robot.robot import Robot
+from calib.verbs.measure.aim import Aim
+from calib.verbs.measure.session import Session
+from calib.verbs.measure.stop import Finding
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.forecast import Forecast, Workspace
 from calib.verbs.plan.plan import plan
@@ -74,8 +78,9 @@ LINKS = {
 #: Kind of measurement by its word.
 KINDS = {"points": "point", "poses": "pose", "pixels": "pixel"}
 
-#: Noise of an orientation about each axis [rad], and of an image coordinate [px].
-ANGLE, PIXEL = float(np.radians(0.01)), 0.3
+#: Noise of a coordinate [m], as that of a usual tracker at 3 m with a robot's repeatability; of an orientation about
+#: each axis [rad]; of an image coordinate [px].
+LENGTH, ANGLE, PIXEL = 4e-5, float(np.radians(0.01)), 0.3
 
 #: A board on a plate of aluminium: scale, a corner's place and sag [m]. A print on paper would be all that counts.
 SCALE, CORNER, SAG = 2e-5, 2e-5, 1e-4
@@ -119,6 +124,7 @@ class Case:
     seed: int
     mistakes: bool
     model: str
+    stated: bool  # The session is told the noise of a coordinate; else it assumes the usual one
 
     @property
     def key(self) -> str:
@@ -143,6 +149,12 @@ class Setting:
     def robot(self) -> Robot:
         """The nominal robot."""
         return self.virtual.truth.nominal
+
+    @property
+    def least(self) -> int:
+        """Fewest poses that tell all parameters."""
+        scalars = 3 if self.virtual.scenario.kind.name == "point" else 6
+        return len(self.sensitivity.names) // scalars + 2
 
     def plan(self, count: int) -> Forecast:
         """Forecast the best plan of so many poses."""
@@ -188,6 +200,8 @@ def draw(case: Case) -> Setting:
     base, tip = LINKS[case.robot]
     kind = KINDS[case.kind]
     cell = Cell(kind=kind, estimate_frame=True, model=case.model)
+    if case.stated and kind != "pixel":
+        cell = replace(cell, sigma={"m": LENGTH})
     if kind == "pixel":
         if case.seed % 2:
             base, tip = tip, base
@@ -199,7 +213,7 @@ def draw(case: Case) -> Setting:
         )
         cell = replace(cell, boards={"": board}, sigma={"px": PIXEL})
     elif kind == "pose":
-        cell = replace(cell, sigma={"rad": ANGLE})
+        cell = replace(cell, sigma={**cell.sigma, "rad": ANGLE})
     arm = Robot.load(case.robot, base, tip)
     errors = "placement" if case.model == "auto" else case.model
     virtual = Scenario(arm, cell, errors).draw(case.seed)
@@ -242,84 +256,88 @@ def fewest(
 
 
 def run_session(_: None, case: Case) -> dict[str, Any]:
-    """Run a session, and return its figures in SI units."""
-    from calib.verbs.measure.session import Aim, Session
-
+    """Run a session, and return its figures in SI units; of one that fails the error, without a true error."""
     setting = draw(case)
-    least = len(setting.sensitivity.names) // (3 if case.kind == "points" else 6) + 2
     best = setting.plan(BEST).rms_high
     aim = AIM * best
-    planned = fewest(lambda n: setting.plan(n).rms_high, aim, least, 4 * BEST, round(BEST / AIM**2))
-    guess = fewest(setting.random_forecast, aim, least, MOST_RANDOM, 3 * planned // 2, GRAIN)
-    at_random = fewest(
-        lambda n: setting.random_limit(n, case.seed), aim, least, MOST_RANDOM, guess, GRAIN
-    )
-    operator = Operator.of(
-        setting.virtual, case.seed, USUAL_MISTAKES if case.mistakes else NO_MISTAKES
-    )
-    rows = []
+    nominal = setting.virtual.truth.nominal_errors(setting.everywhere)
+    figures = {**asdict(case), "best_m": best, "aim_m": aim, "nominal_m": rms(nominal)}
+    if not case.mistakes:
+        figures |= yardsticks(setting, aim, case.seed)
+    rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
+        try:
+            figures |= measured(setting, case, aim, Path(folder) / "session", rows)
+        except CalibError as error:
+            figures |= {"failed": str(error), "true_m": None, "reached": False}
+    return {**figures, "rows": rows}
+
+
+def yardsticks(setting: Setting, aim: float, seed: int) -> dict[str, Any]:
+    """Return how many poses the best plan, and poses at random, take for an aim [m]."""
+    least = setting.least
+    guess = round(BEST / AIM**2)
+    planned = fewest(lambda n: setting.plan(n).rms_high, aim, least, 4 * BEST, guess)
+    forecast = fewest(setting.random_forecast, aim, least, MOST_RANDOM, 3 * planned // 2, GRAIN)
+    simulated = fewest(
+        lambda n: setting.random_limit(n, seed), aim, least, MOST_RANDOM, forecast, GRAIN
+    )
+    return {"planned": planned, "random": simulated, "random_forecast": forecast}
+
+
+def measured(
+    setting: Setting, case: Case, aim: float, folder: Path, rows: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Measure a session with an aim [m] in a folder, calibrate, and return the figures; its readings go to ``rows``."""
+    mistakes = USUAL_MISTAKES if case.mistakes else NO_MISTAKES
+    operator = Operator.of(setting.virtual, case.seed, mistakes)
+    began = time.perf_counter()
+    session = Session.start(
+        folder, setting.robot, setting.known, Aim(error=aim), collisions=False, seed=case.seed
+    )
+    with session:
+        start = time.perf_counter() - began
+        for stop in measure_with(session, operator, MOST_STOPS):
+            mistake = stop.measurement.mistake
+            rows.append(
+                {
+                    "number": stop.measurement.number,
+                    "stop": stop.answer.stop,
+                    "outcome": stop.answer.outcome,
+                    "found": found_table(stop.answer.findings),
+                    "mistake": mistake and asdict(mistake),
+                    "high_m": stop.high,
+                    "next_seconds": stop.seconds[0],
+                    "add_seconds": stop.seconds[1],
+                }
+            )
+        state = session.state
+        joints = joints_of_stops(session.measurements)
         began = time.perf_counter()
-        session = Session.start(
-            Path(folder) / "session",
-            setting.robot,
-            setting.known,
-            Aim(error=aim),
-            collisions=None,
-            seed=case.seed,
-        )
-        with session:
-            start = time.perf_counter() - began
-            for stop in measure_with(session, operator, MOST_STOPS):
-                mistake = stop.measurement.mistake
-                rows.append(
-                    {
-                        "number": stop.measurement.number,
-                        "stop": stop.answer.stop,
-                        "outcome": stop.answer.outcome,
-                        "found": [
-                            {"code": finding.code, "stops": list(finding.stops)}
-                            for finding in stop.answer.findings
-                        ],
-                        "mistake": mistake and asdict(mistake),
-                        "high_m": stop.high,
-                        "seconds": stop.seconds,
-                    }
-                )
-            state = session.state
-            joints = joints_of_stops(session.measurements)
-            began = time.perf_counter()
-            result = session.calibrate()
-            seconds = time.perf_counter() - began
-    needed = next(
-        (n for n in range(least, len(joints) + 1) if setting.limit(joints[:n]) <= aim), len(joints)
-    )
+        result = session.calibrate()
+        seconds = time.perf_counter() - began
+    counts = range(setting.least, len(joints) + 1)
+    needed = next((n for n in counts if setting.limit(joints[:n]) <= aim), len(joints))
     # What was knocked is displaced for the rows after it only, and the session says which of the two it calibrates.
-    truth = setting.virtual.truth
-    predicted = result.predict_poses(
-        setting.everywhere, target=truth.targets[0], group=truth.groups[0]
-    )
+    predicted = result.predict_poses(setting.everywhere, group=result.setup.groups[0])
     cells = (setting.virtual, operator.now)
-    error = min(true_error(cell, setting.everywhere, predicted) for cell in cells)
     return {
-        **asdict(case),
-        "best_m": best,
-        "aim_m": aim,
-        "nominal_m": rms(setting.virtual.truth.nominal_errors(setting.everywhere)),
-        "true_m": error,
+        "true_m": min(true_error(cell, setting.everywhere, predicted) for cell in cells),
         "stated_m": state.error,
         "high_m": state.high,
         "reached": state.reached,
         "stops": state.stops,
         "needed": needed,
-        "planned": planned,
-        "random": at_random,
-        "random_forecast": guess,
+        "found": found_table(state.findings),
         "verdict": str(result.verdict.use) if result.verdict else "",
         "start_seconds": start,
         "calibrate_seconds": seconds,
-        "rows": rows,
     }
+
+
+def found_table(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Return findings as a file has them."""
+    return [{"code": finding.code, "stops": list(finding.stops)} for finding in findings]
 
 
 def joints_of_stops(table: Measurements) -> Array:
@@ -343,7 +361,8 @@ def run_all(options: Namespace) -> None:
     cases = []
     for k in range(options.count):
         robot, kind = pairs[k % len(pairs)]
-        cases.append(Case(robot, kind, options.first + k, options.mistakes, options.model))
+        seed = options.first + k
+        cases.append(Case(robot, kind, seed, options.mistakes, options.model, not options.assumed))
     done = read_sessions(options.out)
     write_lines(options.out, done)
     known = {of_session(session).key for session in done}
@@ -372,48 +391,65 @@ def write_lines(path: Path, sessions: Sequence[Mapping[str, Any]]) -> None:
 
 
 def accuracy_rows(sessions: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
-    """Yield whether sessions met their aim, and with how many poses, by arm and kind, and all together."""
+    """Yield whether sessions met their aim, and with how many poses, by arm and kind, and all together.
+
+    One that failed did not meet it. Yardsticks that were not looked for, as with mistakes, are dashes.
+    """
     for name, group in groups_of(sessions):
-        values = {
-            key: np.array([session[key] for session in group], dtype=np.float64)
-            for key in ("true_m", "aim_m", "stops", "random", "planned", "needed", "nominal_m")
-        }
-        error = values["true_m"] / values["aim_m"]
-        late = values["stops"] - values["needed"]
-        adds = np.array([row["seconds"] for session in group for row in session["rows"]])
+
+        def values(key: str, group: Sequence[Mapping[str, Any]] = group) -> Array:
+            """Return a figure of each session, NaN where it has none."""
+            return np.array([session.get(key) for session in group], dtype=np.float64)
+
+        error = values("true_m") / values("aim_m")
+        error[np.isnan(error)] = np.inf
+        stops = values("stops")
+        rows = [row for session in group for row in session["rows"]]
         yield [
             name,
             len(group),
-            f"{1e3 * np.median(values['nominal_m']):.2f}",
-            f"{1e3 * np.median(values['aim_m']):.3f}",
-            f"{100 * np.mean(error <= 1.0):.0f} %",
-            f"{np.median(error):.2f}, {np.quantile(error, 0.95):.2f}",
-            f"{np.median(values['stops']):.0f}",
-            f"{np.mean(values['stops'] / values['random']):.2f}",
-            f"{np.mean(values['stops'] / values['planned']):.2f}",
-            f"{100 * np.mean(late > LATE):.0f} %",
-            f"{100 * np.mean([not session['reached'] for session in group]):.0f} %",
-            f"{np.median(adds):.2f}, {adds.max():.2f}" if len(adds) else "",
+            f"{1e3 * np.median(values('nominal_m')):.2f}",
+            f"{1e3 * np.median(values('aim_m')):.3f}",
+            share(error <= 1.0),
+            f"{np.median(error):.2f}, {np.quantile(error, 0.95, method='higher'):.2f}",
+            mean_of(stops, 1),
+            mean_of(stops / values("random")),
+            mean_of(stops / values("planned")),
+            mean_of(stops / values("needed")),
+            share(stops - values("needed") > LATE),
+            share(not session["reached"] for session in group),
+            worst_of([row["add_seconds"] for row in rows]),
+            worst_of([row["next_seconds"] for row in rows]),
         ]
 
 
+def mean_of(values: Array, digits: int = 2) -> str:
+    """Format the mean of the values that are there; a dash if there are none."""
+    there = values[np.isfinite(values)]
+    return f"{np.mean(there):.{digits}f}" if len(there) else "-"
+
+
+def worst_of(values: Sequence[float]) -> str:
+    """Format the median and the largest of values; a dash if there are none."""
+    return f"{np.median(values):.2f}, {max(values):.2f}" if values else "-"
+
+
 def mistake_rows(sessions: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
-    """Yield how many mistakes of each sort were named at their row, and how many false alarms there were."""
+    """Yield how many mistakes of each sort were named, and how many false alarms there were."""
     judged = [judgement for session in sessions for judgement in judgements(session)]
-    for code in MISTAKES:
-        of_code = [one for one in judged if one.code == code]
-        if of_code:
-            yield [
-                code,
-                len(of_code),
-                *(share(getattr(one, name) for one in of_code) for name in ("named", "right")),
-            ]
     wrong = [one for one in judged if one.code]
-    if wrong:
-        names = ("named", "right")
-        yield ["all", len(wrong), *(share(getattr(one, name) for one in wrong) for name in names)]
+    groups = [(code, [one for one in wrong if one.code == code]) for code in MISTAKES]
+    for name, group in [*groups, ("all", wrong)]:
+        if group:
+            yield [
+                name,
+                len(group),
+                share(one.named for one in group),
+                share(one.right for one in group),
+                share(one.ever for one in group),
+            ]
     fine = [one for one in judged if not one.code]
-    yield ["none (false alarms)", len(fine), share(one.named for one in fine), ""]
+    yield ["none (false alarms)", len(fine), share(one.named for one in fine), "", ""]
 
 
 @dataclass(frozen=True)
@@ -425,24 +461,34 @@ class Judgement:
         bool  # It asked for the reading again, or found the mistake; without one: it said anything
     )
     right: bool  # It found the mistake that it is
+    ever: bool  # It was named there, or found later
 
 
 def judgements(session: Mapping[str, Any]) -> Iterator[Judgement]:
     """Yield what a session said at each reading; those after something was knocked are left out."""
-    for row in session["rows"]:
+    for k, row in enumerate(session["rows"]):
         mistake = row["mistake"]
         found = {finding["code"] for finding in row["found"] if row["stop"] in finding["stops"]}
         code = mistake["code"] if mistake else ""
-        again = row["outcome"] == "again"
-        if code in (TARGET_MOVED, BASE_MOVED) and mistake["since"] < row["number"]:
+        is_knock = code in (TARGET_MOVED, BASE_MOVED)
+        if is_knock and mistake["since"] < row["number"]:
             continue  # it was knocked before
-        if code in (TARGET_MOVED, BASE_MOVED) and row["number"] == 1:
-            continue  # nothing was measured before that
-        right = bool(code) and bool(found & NAMES[code])
-        yield Judgement(code, again or right or (not code and bool(found)), right)
+        if not code:
+            alarm = row["outcome"] == "again" or bool(found)
+            yield Judgement("", alarm, right=False, ever=alarm)
+            continue
+        right = bool(found & NAMES[code])
+        named = right or row["outcome"] == "again"
+        later = [finding for after in session["rows"][k + 1 :] for finding in after["found"]]
+        later += session.get("found", [])
+        ever = named or any(
+            finding["code"] in NAMES[code] and (is_knock or row["stop"] in finding["stops"])
+            for finding in later
+        )
+        yield Judgement(code, named, right, ever)
 
 
-def share(flags: Iterable[bool]) -> str:
+def share(flags: Iterable[Any]) -> str:
     """Word the share of True among flags."""
     listed = list(flags)
     return f"{100 * sum(listed) / len(listed):.1f} %" if listed else ""
@@ -473,16 +519,19 @@ def print_tables(path: Path) -> None:
             "poses",
             "over random",
             "over planned",
+            "over needed",
             f"late by more than {LATE}",
             "not reached",
             "add [s]: median, most",
+            "next [s]: median, most",
         ),
         accuracy_rows(sessions),
     )
     if any(session["mistakes"] for session in sessions):
         print()
         print_table(
-            ("mistake", "readings", "named at its row", "by its name"), mistake_rows(sessions)
+            ("mistake", "readings", "named at its row", "by its name", "there or later"),
+            mistake_rows(sessions),
         )
 
 
@@ -497,6 +546,7 @@ def main() -> None:
     runs.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first one")
     runs.add_argument("--mistakes", action="store_true", help="the operator makes some")
     runs.add_argument("--model", default="placement", help="of the fit and of the robot's errors")
+    runs.add_argument("--assumed", action="store_true", help="the session is not told the noise")
     runs.add_argument("--out", type=Path, required=True, help="file, one line a session")
     runs.add_argument("--workers", type=int, default=1, help="number of processes")
     tables = verbs.add_parser("table", help="print the tables")

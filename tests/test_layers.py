@@ -55,7 +55,7 @@ VERBS: dict[str, set[str]] = {
     "joints": {"compensate"},
     "measure": set(),
     "plan": {"compensate", "view", "workspace"},
-    "simulate": {"plan"},
+    "simulate": {"measure", "plan"},
     "view": {"evaluate"},
     "workspace": set(),
 }

@@ -11,7 +11,7 @@ import typer
 from calib.cli.loading import load
 from calib.cli.options import ColumnChoice, Force, ModelOptions, Quiet, RobotFile
 from calib.cli.output_files import check_outputs, written_lines
-from calib.cli.terminal import moving_bar, progress_bar, stages_bar, work_line
+from calib.cli.terminal import moving_bar, progress_bar, work_line
 from calib.cli.verb import verb
 from calib.errors import CalibError
 from calib.verbs.simulate.scenario_words import ScenarioWords
@@ -208,7 +208,7 @@ def simulate(
 
 
 def _simulate_session(
-    robot: str | Path,
+    robot: str,
     cell_options: ModelOptions,
     errors: ScenarioWords,
     options: SessionOptions,
@@ -255,7 +255,7 @@ def _simulate_session(
     operator = Operator.of(virtual, seed, USUAL_MISTAKES if options.mistakes else NO_MISTAKES)
     known = known_cell(virtual, seed)
     stops = []
-    with stages_bar(quiet=quiet) as progress:
+    with progress_bar("candidates", quiet=quiet) as progress:
         session = Session.start(folder, arm, known, aim, seed=seed, progress=progress)
     with session:
         if not quiet:
@@ -268,8 +268,7 @@ def _simulate_session(
             result = session.calibrate()
         state = session.state
     q = everywhere(virtual)
-    names = virtual.truth
-    predicted = result.predict_poses(q, target=names.targets[0], group=names.groups[0])
+    predicted = result.predict_poses(q, group=result.setup.groups[0])
     true = min(true_error(of, q, predicted) for of in (virtual, operator.now))
     write_session_truth(operator, stops, seed, truth, overwrite=force)
     if not quiet:

@@ -49,6 +49,10 @@ NOT_THERE = "not_there"
 MISTAKES = (GROSS, SWAPPED, REPEATED, MISSED, TARGET_MOVED, BASE_MOVED, NOT_THERE)
 
 
+#: Those that displace something for good; before the first reading they are no mistakes.
+_KNOCKS = (TARGET_MOVED, BASE_MOVED)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Mistakes(Value):
     """How often an operator makes each mistake, and how large they are; sizes are uniform in their logarithm."""
@@ -291,13 +295,15 @@ class Operator:
         seed = seed_of_reading(self._seed, number)
         rng = stream(seed, "mistakes")
         code = self._mistakes.draw(number, rng)
-        if again:
-            code = ""
-        elif self._late_since is not None:
+        if self._late_since is not None:
             code = MISSED
+        before = self._before
+        is_there = before is not None and np.array_equal(before.proposed, proposed)
+        if again or (code == MISSED and is_there) or (code in _KNOCKS and before is None):
+            code = ""
 
         now, knocked = self._now, self._knocked
-        if code in (TARGET_MOVED, BASE_MOVED):
+        if code in _KNOCKS:
             now, mistake = _knock(now, self._mistakes, code, number, rng)
             knocked = (mistake, *knocked)
         trip = _Trip(now, self._mistakes, proposed, way, number, seed, rng, self._before)

@@ -12,7 +12,7 @@ from calib.basics.units import UNITS
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
 from calib.show.lines import fill, mm, plural
-from calib.verbs.measure.session import State
+from calib.verbs.measure.state import State
 from calib.verbs.measure.stop import Answer, Finding
 from calib.verbs.simulate.operator import (
     BASE_MOVED,
@@ -92,8 +92,8 @@ def result_lines(state: State, result: Calibration, nominal: float, true: float)
     reached = "reached" if state.reached else "not reached"
     if state.error is not None and state.high is not None:
         yield fill(
-            f"Expected error {mm(state.error)} mm, at most {mm(state.high)} mm with 95 %; the aim of {mm(state.aim)} mm "
-            f"is {reached} after {plural(state.stops, 'pose')}."
+            f"Expected error {mm(state.error)} mm, at most {mm(state.high)} mm with 95 %; the aim of {mm(state.aim)} "
+            f"mm is {reached} after {plural(state.stops, 'pose')}."
         )
     else:
         yield fill(

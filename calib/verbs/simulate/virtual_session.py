@@ -15,7 +15,8 @@ from calib.data.cell import Cell
 from calib.errors import CalibError
 from calib.numerics.errors import rms
 from calib.robot.ranges import spread_between
-from calib.verbs.measure.session import NextPose, Session
+from calib.verbs.measure.session import Session
+from calib.verbs.measure.state import NextPose
 from calib.verbs.measure.stop import Answer, Row
 from calib.verbs.plan.choice import PlanRequest
 from calib.verbs.plan.pose_candidates import planning_ranges
@@ -39,8 +40,8 @@ class VirtualStop(Value):
     answer: Answer
     #: Expected error after it, of which 95 % of calibrations are better [m]; None: not known yet.
     high: float | None
-    #: Time that the session took for its answer [s].
-    seconds: float
+    #: Time that the session took to propose it, and for its answer with the state [s].
+    seconds: tuple[float, float]
 
 
 def known_cell(virtual: VirtualCell, seed: int) -> Cell:
@@ -92,23 +93,25 @@ def measure_with(session: Session, operator: Operator, most: int) -> Iterator[Vi
     Yields:
         Each stop, also those that do not count.
     """
-    again = False
-    while len(session.stops) < most and not session.state.reached:
+    state = session.state
+    while state.measured < most and not state.reached:
+        began = time.perf_counter()
         proposed = session.next()
+        proposing = time.perf_counter() - began
         if proposed is None:
             return
+        again = proposed.why == "again"
         try:
             measurement = operator.measure(proposed.joints, again=again, via=proposed.via)
         except CalibError as error:
             session.skip(str(error))
-            again = False
             continue
         moves = None if proposed.via is None else proposed.joints - proposed.via
         began = time.perf_counter()
         answer = session.add(Row(measurement.joints, measurement.readings, moves))
-        seconds = time.perf_counter() - began
-        again = answer.outcome == "again"
-        yield VirtualStop(proposed, measurement, answer, session.state.high, seconds)
+        state = session.state
+        seconds = (proposing, time.perf_counter() - began)
+        yield VirtualStop(proposed, measurement, answer, state.high, seconds)
 
 
 def everywhere(virtual: VirtualCell, count: int = 1500) -> Array:

@@ -196,3 +196,48 @@ def test_of_two_arms_the_hand_is_to_be_named(call, shop: Path, verb, words, tips
     assert done.code == 1
     assert all(f"--tip NAME={tip}" in done.err for tip in tips)
     assert not (shop / "two.csv").exists()
+
+
+# Sessions
+
+
+@pytest.mark.slow
+def test_a_session_leaves_its_folder_and_the_truth_beside_it(simulate, shop: Path):
+    words = ("--model", "zeros", "--frame", "estimate", "--session", "s", "--aim", "0.1 mm")
+    done = simulate(*words, "--seed", "5", "--mistakes")
+    assert (done.code, done.err) == (0, "")
+    said = truth(shop, "s_truth.json")
+    assert said["schema"] == "session truth 1"
+    assert said["seed"] == 5
+    assert len(said["parameters"]) == 6
+    events = [json.loads(line) for line in (shop / "s" / "journal.jsonl").read_text().splitlines()]
+    rows = [event for event in events if event["event"] == "row"]
+    assert len(said["stops"]) == len(rows)
+    lines = [line for line in done.lines if line[:4].strip().isdigit()]
+    assert [int(line[:4]) for line in lines] == [stop["stop"] for stop in said["stops"]]
+    for line, stop in zip(lines, said["stops"], strict=True):
+        assert ("in truth" in line) == bool(stop["mistakes"])
+        joints = [float(word) for word in line.split()[1:7]]
+        assert joints == pytest.approx(np.degrees(stop["joints"]), abs=0.051)
+    table = Measurements.read(shop / "s" / "measurements.csv")
+    assert len(table) <= len(rows)
+    assert any(line.startswith("Verdict: ") for line in done.lines)
+    assert simulate(*words).code != 0  # the truth is there
+
+
+def test_what_a_session_refuses(simulate, shop: Path):
+    for words in (
+        ("--mistakes", "-o", "t.csv"),
+        ("--aim", "0.1 mm", "-o", "t.csv"),
+        ("--session", "s", "-o", "t.csv"),
+        ("--session", "s", "--poses", "data.csv"),
+        ("--session", "s", "--validation", "3"),
+        ("--session", "s", "--aim", "0.1"),
+        ("--session", "s", "--outliers", "3"),
+        ("--session", "s", "--kind", "distance"),
+    ):
+        done = simulate(*words)
+        assert (done.code, done.out) != (0, ""), words
+        assert done.err, words
+    assert not (shop / "s").exists()
+    assert not (shop / "t.csv").exists()

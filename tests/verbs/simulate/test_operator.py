@@ -333,8 +333,9 @@ def test_in_a_known_frame_the_tracker_turns_about_where_it_stands(ur3):
     virtual = Scenario(ur3, Cell(), noise=None).draw(4)
     q = stops_of(ur3, 4)
     for seed in range(12):
-        operator = with_mistakes(virtual, seed=seed, r1=BASE_MOVED)
+        operator = with_mistakes(virtual, seed=seed, r2=BASE_MOVED)
         operator.measure(q[0])
+        operator.measure(q[1])
         (knocked,) = operator.knocked
         centre = np.zeros(3) if knocked.name == "base" else virtual.scenario.tracker
         motion = operator.now.truth.T_frame_base[0]
@@ -394,8 +395,18 @@ def test_mistakes_are_as_often_as_they_say(points, ur3):
 
 def test_what_cannot_go_wrong_at_the_first_stop_is_right(points, ur3):
     q = stops_of(ur3, 1)[0]
-    for code in (REPEATED, MISSED):
-        assert with_mistakes(points, r1=code).measure(q).mistake is None
+    for code in (REPEATED, MISSED, TARGET_MOVED, BASE_MOVED):
+        operator = with_mistakes(points, r1=code)
+        assert operator.measure(q).mistake is None
+        assert operator.knocked == ()
+
+
+def test_who_is_late_has_caught_up_if_the_same_pose_is_proposed_once_more(points, ur3):
+    q = stops_of(ur3, 3)
+    operator = with_mistakes(points, r2=MISSED)
+    for pose, code in ((q[0], None), (q[1], MISSED), (q[1], None), (q[2], None)):
+        mistake = operator.measure(pose).mistake
+        assert (mistake and mistake.code) == code
 
 
 # Refusals

@@ -20,6 +20,7 @@ from calib.errors import DeviceError, choices
 from calib.verbs.measure.devices.reading import Context
 from calib.verbs.measure.devices.rtde import RtdeController
 from calib.verbs.measure.devices.typed import TypedController
+from calib.verbs.measure.devices.virtual import virtual_robot
 
 __all__ = [
     "CONTROLLERS",
@@ -63,6 +64,7 @@ class Controller:
 #: The controllers by name.
 CONTROLLERS: dict[str, Controller] = {
     "typed": Controller("joint values of the proposed pose, or as typed", TypedController),
+    "virtual": Controller("a robot that stands where it is proposed, to rehearse", virtual_robot),
     "rtde": Controller("a robot of Universal Robots, rtde:192.168.0.5", RtdeController),
 }
 

@@ -15,13 +15,14 @@ from calib.errors import DeviceError, choices
 from calib.verbs.measure.devices.files import FileReader, FolderReader
 from calib.verbs.measure.devices.lines import InputReader, TcpReader
 from calib.verbs.measure.devices.reading import Context, Reading
+from calib.verbs.measure.devices.virtual import virtual_instrument
 from calib.verbs.measure.devices.webcam import WebcamReader
 
 __all__ = ["READERS", "Context", "Instrument", "Reader", "Reading", "open_reader", "register"]
 
 
 class Instrument(Protocol):
-    """An instrument that is open."""
+    """An instrument that is open; one with a method ``propose(joints)`` is told each pose before it is read."""
 
     def read(self, timeout: float | None = None) -> Reading | None:
         """Return the next reading; wait for it at most ``timeout`` seconds, and return None if nothing came.
@@ -57,6 +58,10 @@ READERS: dict[str, Reader] = {
         TcpReader,
     ),
     "webcam": Reader("pictures of a camera at this machine, webcam:0", WebcamReader),
+    "virtual": Reader(
+        "a virtual robot with errors of a seed, to rehearse: virtual:3, or virtual:3,mistakes",
+        virtual_instrument,
+    ),
 }
 
 plugins.watch("readers", READERS)

@@ -12,9 +12,11 @@ from calib.basics.arrays import Array
 from calib.basics.frames import table_of_frame
 from calib.basics.units import split_header
 from calib.basics.values import ReadOnlyMapping, Value
+from calib.data.cell import Cell
 from calib.data.forms.column_options import ColumnsInput
 from calib.data.measurements import Measurements
 from calib.errors import ArgumentError
+from calib.robot.robot import Robot
 
 #: A row of a table: numbers, in the unit of their header, and words by header, ``{"x [mm]": 512.3, "target": "T1"}``.
 Cells = Mapping[str, str | float]
@@ -41,6 +43,9 @@ class Context(Value):
     points_unit: str | None = None
     #: Folder of the session.
     folder: Path = Path()
+    #: The nominal robot and the cell, for a virtual instrument; None: not said.
+    robot: Robot | None = None
+    cell: Cell | None = None
 
     def __post_init__(self) -> None:
         """Make the mapping of types read-only."""

@@ -78,4 +78,4 @@ def test_an_own_controller_is_registered_once():
         for name in ("statue", "rtde", "a:b", ""):
             with pytest.raises(DeviceError, match="needs a name"):
                 register(name, CONTROLLERS["rtde"])
-    assert set(CONTROLLERS) == {"typed", "rtde"}
+    assert set(CONTROLLERS) == {"typed", "virtual", "rtde"}

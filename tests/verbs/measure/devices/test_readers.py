@@ -16,7 +16,7 @@ def test_a_reader_is_opened_by_its_name(tmp_path: Path):
     reader = open_reader(f"watch:{tmp_path}", UR)
     assert isinstance(reader, FolderReader)
     reader.close()
-    assert set(READERS) == {"file", "watch", "stdin", "tcp", "webcam"}
+    assert set(READERS) == {"file", "watch", "stdin", "tcp", "webcam", "virtual"}
     for text in ("wacth:exports", "", "C:\\exports"):
         with pytest.raises(DeviceError, match="There is no reader of an instrument"):
             open_reader(text, UR)
