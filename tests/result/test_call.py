@@ -15,7 +15,7 @@ from calib.boards.board_file import read_board
 from calib.camera.camera_file import read_camera
 from calib.data.cell import Cell, FurtherRobot, GroupDistance, Priors, Tracker
 from calib.example import franka_file
-from calib.result.calibration_file import read_cell, call_table
+from calib.result.calibration_file import call_table, read_cell
 from calib.result.call import Call, file_hashes, split_name
 from calib.robot.gravity import Payload
 from tests.places import ROOT
