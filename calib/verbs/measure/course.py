@@ -30,11 +30,11 @@ from calib.verbs.measure.stop import SAME_POSE, Answer, Finding, Row, Stop
 from calib.verbs.plan.forecast import information
 
 #: What is known of the noise beforehand, in degrees of freedom: if the cell states it, and if it is assumed.
-_STATED = 100.0
+_STATED = 300.0
 _ASSUMED = 4.0
 
 #: A stated noise that the rows contradict with this probability does not count.
-_CONTRADICTED = 0.01
+_CONTRADICTED = 1e-3
 
 #: Least standard deviation of errors of a family, over the typical one: few stops may show none.
 _LEAST_ERRORS = 1.0 / 3.0
@@ -171,13 +171,16 @@ class Course:
         stated = sensitivity.sigma_by_unit(q)
         factors = {}
         estimate = None if self.fit is None else self.fit.fitted.estimate
-        own = 0.0 if estimate is None else max(estimate.freedom, 0.0)
         freedom = np.inf
         for unit, sigma in stated.items():
             is_stated = unit in cell.sigma or (unit == "m" and cell.tracker is not None)
             before = _STATED if is_stated else _ASSUMED
-            ratio = 1.0
-            if estimate is not None and unit in estimate.sigma and own > 0.0:
+            ratio, own = 1.0, 0.0
+            if estimate is not None and unit in estimate.sigma:
+                # The freedom is that of all scalars.
+                channels = estimate.problem.rows.channels
+                share = channels.where(unit).sum() / max(channels.used.sum(), 1)
+                own = max(estimate.freedom, 0.0) * float(share)
                 ratio = (estimate.sigma[unit] / sigma) ** 2
             tail = chi2.cdf(own * ratio, own) if own > 0.0 else 0.5
             if own >= _ENOUGH_FREEDOM and min(tail, 1.0 - tail) < _CONTRADICTED:
