@@ -180,6 +180,7 @@ class Design(Value):
             if expected(fewer).high > aim:
                 break
             design = fewer
+        design, _ = exchange(blocks, basis, design)
         first = self._first(gains(blocks[design], basis), self.joints[free[design]], last)
         order = [first, *[k for k in range(len(design)) if k != first]]
         return Choice(

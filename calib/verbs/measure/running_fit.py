@@ -178,12 +178,12 @@ class RunningFit(Value):
         """
         rows = self._rows(table)
         kinematics, x = self.fitted.kinematics, self.fitted.estimate.x
-        result = np.empty(len(q))
-        for k, pose in enumerate(q):
-            there = replace(rows.samples, q=np.tile(pose, (len(rows), 1)))
-            residual = rows.standardise(rows.residual(kinematics.sightings(x, there)))
-            result[k] = np.sqrt(np.mean(residual[rows.used] ** 2))
-        return result
+        n, k = len(q), len(rows)
+        everywhere = rows.select(np.tile(np.arange(k), n))
+        samples = replace(everywhere.samples, q=np.repeat(q, k, axis=0))
+        residual = everywhere.standardise(everywhere.residual(kinematics.sightings(x, samples)))
+        squares = np.where(everywhere.used, residual**2, 0.0).reshape(n, -1)
+        return np.asarray(np.sqrt(squares.sum(axis=1) / rows.used.sum()))
 
     def _rows(self, table: Measurements) -> Rows:
         """Return the readings of a stop as rows with the numbers that frames and targets have in the fit."""
