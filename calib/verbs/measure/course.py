@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
+from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.families import FAMILIES
@@ -45,6 +46,9 @@ _ENOUGH_FREEDOM = 10.0
 #: How often a stop is measured again before the session goes on without it.
 _TRIES = 3
 
+#: Fits to 8, 16, 32, ... stops are those from which the fits to more stops begin.
+_FIRST_START = 8
+
 
 @dataclass(frozen=True, slots=True)
 class CurvePoint:
@@ -57,6 +61,18 @@ class CurvePoint:
     error: float
     low: float
     high: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitStart(Value):
+    """The fit to the first stops that count, from which fits to more of them begin."""
+
+    #: Numbers of the stops
+    numbers: tuple[int, ...]
+    #: What had moved by then
+    breaks: tuple[Break, ...]
+    #: None: they do not determine frames and targets
+    fit: RunningFit | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +98,10 @@ class Course:
     planned: tuple[int, ...] = ()
     #: Expected error after each number of stops
     curve: tuple[CurvePoint, ...] = ()
+    #: Fits to the first stops
+    starts: tuple[FitStart, ...] = ()
+    #: The course before the last stop, not fitted; None: there is no stop
+    before: Course | None = None
 
     # What counts
 
@@ -271,12 +291,15 @@ class Course:
 
     # What follows
 
-    def with_row(self, row: Row, proposed: Sequence[Array]) -> tuple[Course, Answer]:
+    def with_row(
+        self, row: Row, proposed: Sequence[Array], planned: tuple[int, ...] | None = None
+    ) -> tuple[Course, Answer]:
         """Add a stop, and say what it says.
 
         Args:
             row: What was measured.
             proposed: Poses that were proposed last, shape (m,) each.
+            planned: The design by which the last one was proposed; None: by none.
         """
         number = len(self.stops) + 1
         before = None if self.expected is None else self.expected.high
@@ -310,9 +333,9 @@ class Course:
         stops = [
             replace(stop, counts=True) if stop.number in together else stop for stop in self.stops
         ]
-        course = replace(self, stops=(*stops, Stop(number, row, answer, accepted))).refitted()
+        course = self.followed_by(Stop(number, row, answer, accepted), stops, planned)
         if accepted:
-            course, found = course._with_breaks()
+            course, found = course.refitted()._with_breaks()
             expected = course.expected
             answer = replace(
                 answer,
@@ -342,14 +365,38 @@ class Course:
     @property
     def cell_now(self) -> Cell:
         """The cell with what has moved as further targets and stations."""
-        tables = self.tables()
+        return self._cell_of(self.tables())
+
+    def _cell_of(self, tables: Sequence[Measurements]) -> Cell:
+        """Return the cell with what has moved, as far as it occurs in some readings."""
         occurring = {name for table in tables for name in (*table.targets, *table.groups)}
         rotation = self.design.sensitivity.setup.rotation
         return cell_after(self.cell, self.breaks, occurring, rotation=rotation)
 
     def refitted(self) -> Course:
-        """Return the course with the fit to the stops that count."""
-        return replace(self, fit=RunningFit.of(self.robot, self.cell_now, self.tables(), self.fit))
+        """Return the course with the fit to the stops that count.
+
+        It begins where that to the first 8, 16, 32, ... stops ended: so it depends on the stops alone, whatever was
+        fitted before.
+        """
+        starts = self.starts
+        fit: RunningFit | None = None
+        count = len(self.counted)
+        sizes = [_FIRST_START * 2**k for k in range(count.bit_length())]
+        for size in [*(size for size in sizes if size < count), count]:
+            numbers = tuple(stop.number for stop in self.counted[:size])
+            breaks = tuple(
+                broken for broken in self.breaks if broken.stop <= max(numbers, default=0)
+            )
+            same = [s for s in starts if s.numbers == numbers and s.breaks == breaks]
+            if same:
+                fit = same[0].fit
+                continue
+            tables = self.tables()[:size]
+            fit = RunningFit.of(self.robot, self._cell_of(tables), tables, fit)
+            if size in sizes:
+                starts = (*starts, FitStart(numbers, breaks, fit))
+        return replace(self, fit=fit, starts=starts)
 
     def _with_breaks(self) -> tuple[Course, tuple[Finding, ...]]:
         """Return the course with what has moved since a stop, and the findings that are new."""
@@ -359,8 +406,9 @@ class Course:
         course = self
         if open_:
             course = replace(self, breaks=self.breaks[:-1]).refitted()
+        same = replace(self, starts=course.starts)
         if course.fit is None:
-            return self, ()
+            return same, ()
         numbers = [stop.number for stop in self.counted]
         # Before frames, targets and robot were determined nothing that moved could be told from them.
         first = -(-self.design.workspace.rank // self.design.measured.shape[1])
@@ -368,10 +416,10 @@ class Course:
             first = max(first, 1 + sum(number <= course.breaks[-1].stop for number in numbers))
         found = find_moved(course.fit, self.history.factor, first)
         if not found:
-            return self, ()
+            return same, ()
         broken = Break.of(found, numbers, course.fit.fitted.estimated_setup())
         if open_ and broken.same_as(self.breaks[-1]):
-            return self, ()
+            return same, ()
         course = replace(course, breaks=(*course.breaks, broken)).refitted()
         since = tuple(stop.number for stop in course.counted if stop.number >= broken.stop)
         name = broken.target if broken.target is not None else broken.station
@@ -391,20 +439,40 @@ class Course:
         point = CurvePoint(last, len(self.counted), expected.error, expected.low, expected.high)
         return replace(self, curve=(*self.curve, point))
 
-    def without_last(self) -> Course:
-        """Return the course without its last stop, and without what followed from it; it is not fitted yet."""
-        number = self.stops[-1].number
+    def followed_by(
+        self, stop: Stop, stops: Sequence[Stop], planned: tuple[int, ...] | None
+    ) -> Course:
+        """Return the course with one more stop, not fitted.
+
+        Args:
+            stop: The stop.
+            stops: Those before it, as they count by now.
+            planned: The design by which it was proposed; None: by none.
+        """
         return replace(
             self,
-            stops=self.stops[:-1],
-            breaks=tuple(broken for broken in self.breaks if broken.stop < number),
-            curve=tuple(point for point in self.curve if point.stop < number),
-            fit=None,
+            stops=(*stops, stop),
+            planned=self.planned if planned is None else planned,
+            before=replace(self, fit=None),
         )
 
-    def with_skipped(self, candidate: int) -> Course:
-        """Return the course without a candidate, which cannot be reached."""
-        return replace(self, skipped=(*self.skipped, candidate))
+    def without_last(self) -> Course:
+        """Return the course as it was before its last stop, but for what was skipped; it is not fitted yet."""
+        assert self.before is not None
+        return replace(self.before, skipped=self.skipped)
+
+    def with_skipped(self, candidate: int, planned: tuple[int, ...] | None) -> Course:
+        """Return the course without a candidate, which cannot be reached.
+
+        Args:
+            candidate: Its index.
+            planned: The design by which it was proposed; None: by none.
+        """
+        return replace(
+            self,
+            skipped=(*self.skipped, candidate),
+            planned=self.planned if planned is None else planned,
+        )
 
     @property
     def outliers(self) -> tuple[int, ...]:

@@ -38,8 +38,10 @@ _AHEAD = 60
 #: A pose of the design is next if it tells this share of what the most telling one does, and is near.
 _TELLING = 0.6
 
-#: A design that is not enough grows by this part of its poses at a time.
+#: A design that is not enough grows by this part of its poses at a time, and to twice as many if its expected error is
+#: this many times the aim.
 _GROWN = 3
+_FAR = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,18 +166,21 @@ class Design(Value):
             total = known.total + information(A[chosen])
             return self.expected(total, known.freedom + len(chosen) * float(A.shape[1]))
 
-        design, _ = np.unique(np.searchsorted(free, [k for k in before if k in free])), 0.0
-        design = design.astype(np.int_)
+        design = np.unique(np.searchsorted(free, [k for k in before if k in free])).astype(np.int_)
         most = min(_AHEAD, len(free))
-        count = max(len(design), 1)
-        design, _ = exchange(blocks, basis, design, count)
+        design, _ = exchange(blocks, basis, design, max(len(design), 1))
         while len(design) < most and expected(design).high > aim:
-            count = min(len(design) + max(1, len(design) // _GROWN), most)
+            more = 1.0 / _GROWN if expected(design).high <= _FAR * aim else 1.0
+            count = min(len(design) + max(1, int(more * len(design))), most)
             design, _ = exchange(blocks, basis, design, count)
-        while (
-            len(design) > 1 and expected(fewer := without_least(blocks, basis, design)).high <= aim
-        ):
+        while len(design) > 1:
+            fewer = without_least(blocks, basis, design)
+            if expected(fewer).high > aim:
+                fewer, _ = exchange(blocks, basis, fewer)
+            if expected(fewer).high > aim:
+                break
             design = fewer
+        design, _ = exchange(blocks, basis, design)
         first = self._first(gains(blocks[design], basis), self.joints[free[design]], last)
         order = [first, *[k for k in range(len(design)) if k != first]]
         return Choice(

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc, fdtri
 
 from calib.basics.arrays import Array
@@ -41,10 +40,11 @@ _ROUGH_ANGLE = np.deg2rad(5.0)
 #: Two readings this close together are of one pose if the robot had moved by more than ten times as much [m].
 _SAME_PLACE = 0.5e-3
 
-#: Largest change of a single joint that is looked for, its first steps, and the least that is no noise [rad or m].
+#: Largest change of a single joint that is looked for, and the least that is no noise [rad or m]; how often the search
+#: is narrowed to a quarter.
 _JOINT_OFF = 0.6
-_JOINT_STEP = 0.15
 _LEAST_JOINT = 2e-3
+_NARROWED = 6
 
 #: Deviations of this many times the limit are no accident if they are the same when the stop is measured again.
 _CERTAIN = 4.0
@@ -110,7 +110,7 @@ def check_row(
         rank: Number of parameters that stops can determine: with fewer numbers a prediction is not exact.
     """
     prediction = None if fit is None else fit.predict(table)
-    repeated = _same_reading(table, before)
+    repeated = _same_reading(table, number, before)
     if prediction is None or fit is None:
         findings = repeated or [*_rough(robot, table, number, before)]
         return RowCheck(None, np.nan, np.nan, True if findings else None, tuple(findings))
@@ -149,9 +149,11 @@ def _is_far(prediction: Prediction) -> bool:
     ) > _ROUGH_ANGLE + 6.0 * usual.get("rad", 0.0)
 
 
-def _same_reading(table: Measurements, before: Sequence[tuple[int, Measurements]]) -> list[Finding]:
+def _same_reading(
+    table: Measurements, number: int, before: Sequence[tuple[int, Measurements]]
+) -> list[Finding]:
     """Return the finding that a reading is that of an earlier stop to the last digit, though the joints have moved."""
-    for number, other in reversed(before):
+    for stop, other in reversed(before):
         if len(other) != len(table) or other.targets != table.targets:
             continue
         if np.abs(other.joints[0] - table.joints[0]).max() <= SAME_POSE:
@@ -165,7 +167,7 @@ def _same_reading(table: Measurements, before: Sequence[tuple[int, Measurements]
             (a, b) for a, b in pairs if a is not None and b is not None and np.isfinite(a).any()
         ]
         if given and all(np.array_equal(a, b, equal_nan=True) for a, b in given):
-            return [Finding("repeated", (number,), {"stop": float(number)})]
+            return [Finding("repeated", (number,), {"stop": float(stop)})]
     return []
 
 
@@ -274,26 +276,25 @@ def _swapped(table: Measurements) -> Iterator[tuple[Measurements, str]]:
 def _joint_that_is_off(fit: RunningFit, table: Measurements) -> tuple[int, float] | None:
     """Return the joint, and by how much it would have to be elsewhere, that explains a reading best; None if none."""
     q = table.joints[0]
-    steps = np.arange(-_JOINT_OFF, _JOINT_OFF + 1e-9, _JOINT_STEP)
-    m = len(q)
-    trials = np.repeat(q[None], m * len(steps), axis=0)
-    for joint in range(m):
-        trials[joint * len(steps) : (joint + 1) * len(steps), joint] += steps
-    distance = fit.distances(table, trials).reshape(m, -1)
-    best: tuple[float, int, float] | None = None
-    for joint in np.argsort(distance.min(axis=1))[:2].tolist():
-        start = float(steps[np.argmin(distance[joint])])
+    each = np.arange(len(q))
 
-        def off_by(change: float, joint: int = joint) -> float:
-            """Return how far the reading is from what a changed joint would give."""
-            trial = q.copy()
-            trial[joint] += change
-            return float(fit.distances(table, trial[None])[0])
+    def squares(changes: Array) -> Array:
+        """Return the squares of the distances with each joint changed, both of shape (m, n)."""
+        trials = np.tile(q, (*changes.shape, 1))
+        trials[each, :, each] += changes
+        distances = fit.distances(table, trials.reshape(-1, len(q)))
+        return np.asarray(distances.reshape(changes.shape) ** 2)
 
-        ends = (start - _JOINT_STEP, start + _JOINT_STEP)
-        found = minimize_scalar(off_by, bounds=ends, method="bounded", options={"xatol": 1e-6})
-        if best is None or found.fun < best[0]:
-            best = float(found.fun), joint, float(found.x)
-    if best is None or abs(best[2]) < _LEAST_JOINT:
-        return None
-    return best[1], best[2]
+    grid = np.linspace(-1.0, 1.0, 9)
+    best, width = np.zeros(len(q)), _JOINT_OFF
+    for _ in range(_NARROWED):
+        changes = best[:, None] + width * grid
+        best = changes[each, np.argmin(squares(changes), axis=1)]
+        width /= 4.0
+    # The least of the parabola through three squares.
+    below, least, above = squares(best[:, None] + width * np.array([-1.0, 0.0, 1.0])).T
+    curvature = below - 2.0 * least + above
+    curved = curvature > np.abs(below - above) / 2.0
+    best[curved] += width * (0.5 * (below - above)[curved] / curvature[curved])
+    joint = int(np.argmin(squares(best[:, None])))
+    return None if abs(best[joint]) < _LEAST_JOINT else (joint, float(best[joint]))

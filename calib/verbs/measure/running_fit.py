@@ -32,9 +32,6 @@ from calib.result.fewer_corners import with_fewer_corners
 from calib.robot.robot import Robot
 from calib.verbs.plan.sensitivity import PLANNED_FOR_AUTO
 
-#: A fit is registered anew until there are so many stops; then it begins where the last one ended.
-_REGISTERED = 8
-
 #: Singular values below this share of the largest are rounding.
 _ROUNDING = 1e-9
 
@@ -83,13 +80,13 @@ class RunningFit(Value):
         tables: Sequence[Measurements],
         before: RunningFit | None = None,
     ) -> RunningFit | None:
-        """Fit the model of a cell to stops, from where the last fit ended.
+        """Fit the model of a cell to stops.
 
         Args:
             robot: The nominal robot.
             cell: The cell; the model ``"auto"`` is ``"placement"``, the largest geometry.
             tables: What was measured at each stop.
-            before: The last fit; None: there is none.
+            before: A fit to some of the stops, where this one begins; None: frames and targets are registered.
 
         Returns:
             The fit; None if the stops do not determine frames and targets.
@@ -112,8 +109,7 @@ class RunningFit(Value):
                 known = before.fitted.setup
                 is_same = (known.groups, known.targets) == (setup.groups, setup.targets)
                 near = (before.fitted,) if is_same else ()
-                if len(tables) > _REGISTERED or not is_same:
-                    registered = _where_they_were(setup, known)
+                registered = _where_they_were(setup, known)
             return cls(fit(task, rows, registered=registered, near=near), rows, stops, cell)
         except MeasurementError:
             return None
@@ -182,12 +178,12 @@ class RunningFit(Value):
         """
         rows = self._rows(table)
         kinematics, x = self.fitted.kinematics, self.fitted.estimate.x
-        result = np.empty(len(q))
-        for k, pose in enumerate(q):
-            there = replace(rows.samples, q=np.tile(pose, (len(rows), 1)))
-            residual = rows.standardise(rows.residual(kinematics.sightings(x, there)))
-            result[k] = np.sqrt(np.mean(residual[rows.used] ** 2))
-        return result
+        n, k = len(q), len(rows)
+        everywhere = rows.select(np.tile(np.arange(k), n))
+        samples = replace(everywhere.samples, q=np.repeat(q, k, axis=0))
+        residual = everywhere.standardise(everywhere.residual(kinematics.sightings(x, samples)))
+        squares = np.where(everywhere.used, residual**2, 0.0).reshape(n, -1)
+        return np.asarray(np.sqrt(squares.sum(axis=1) / rows.used.sum()))
 
     def _rows(self, table: Measurements) -> Rows:
         """Return the readings of a stop as rows with the numbers that frames and targets have in the fit."""

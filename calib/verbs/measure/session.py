@@ -7,9 +7,10 @@ that count.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,6 +21,7 @@ from calib.basics.arguments import check_callable, check_flags, check_path, chec
 from calib.basics.arrays import Array, read_only
 from calib.basics.dates import date_text, now
 from calib.basics.jobs import Progress, one_blas_thread
+from calib.basics.json_files import plain
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
 from calib.data.measurements import Measurements
@@ -51,6 +53,18 @@ _DRAWS = 9
 _USUAL_AIM = Aim()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Added:
+    """A row that the journal has."""
+
+    row: Row
+    key: str
+    #: Poses that were proposed, shape (m,) each
+    proposed: list[Array]
+    #: The design by which they were; None: by none
+    planned: tuple[int, ...] | None
+
+
 class Session:
     """A calibration that is being measured.
 
@@ -68,6 +82,8 @@ class Session:
         self._settings = settings
         self._journal = journal
         self._course = course
+        #: Why the table lacks the last stops, such as a full disk; empty: it does not
+        self.behind = ""
         self._proposed: NextPose | None = None
         self._answers: dict[str, Answer] = {}
         # The threads of a server add one after the other.
@@ -271,18 +287,23 @@ class Session:
         with self._lock, one_blas_thread():
             if key and key in self._answers:
                 return self._answers[key]
-            stop = self._row_of(row)
-            proposed = self._proposed
-            event = {
-                "event": "row",
-                "time": date_text(now()),
-                "key": key,
-                "columns": stop.readings.columns(),
-                "moves": stop.moves,
-                "proposed": None if proposed is None else proposed.joints,
-            }
+            proposed = self.next()
+            stop = self._row_of(row, proposed)
+            event = plain(
+                {
+                    "event": "row",
+                    "time": date_text(now()),
+                    "key": key,
+                    "columns": stop.readings.columns(),
+                    "moves": stop.moves,
+                    "proposed": None if proposed is None else proposed.joints,
+                    "planned": self._planned,
+                }
+            )
+            # As it is read again, to the last bit.
+            added = self._row_event(event)
             self._journal.append(event)
-            return self._added(stop, key, [] if proposed is None else [proposed.joints])
+            return self._added(added)
 
     def undo(self, note: str = "") -> int | None:
         """Take the last stop back.
@@ -316,9 +337,17 @@ class Session:
             pose = self.next()
             if pose is None:
                 return
-            event = {"event": "skip", "time": date_text(now()), "joints": pose.joints, "note": note}
+            candidate = _nearest(self._course, pose.joints)
+            event = {
+                "event": "skip",
+                "time": date_text(now()),
+                "joints": pose.joints,
+                "candidate": candidate,
+                "planned": self._planned,
+                "note": note,
+            }
             self._journal.append(event)
-            self._course = self._course.with_skipped(_nearest(self._course, pose.joints))
+            self._course = self._course.with_skipped(candidate, self._planned)
             self._proposed = None
 
     def note(self, text: str) -> None:
@@ -346,6 +375,14 @@ class Session:
 
     # Inside
 
+    @property
+    def _planned(self) -> tuple[int, ...] | None:
+        """The design by which the next pose was proposed; None: none was, or it repeats a stop."""
+        if self._proposed is None or self._proposed.why != "information":
+            return None
+        choice = self._course.choice
+        return None if choice is None else choice.design
+
     def _propose(self) -> NextPose | None:
         """Return the next pose."""
         course = self._course
@@ -362,7 +399,6 @@ class Session:
             if choice is None:
                 return None
             candidate = choice.design[0]
-            self._course = course = replace(course, planned=choice.design)
             moves = course.design.moves
             q = course.design.joints[candidate]
             via = None if moves is None else rounded(self.robot, q - moves[candidate])
@@ -386,10 +422,10 @@ class Session:
             return np.asarray(course.design.sensitivity.expected(q[None])[0])
         return course.fit.places(q)
 
-    def _row_of(self, row: Row | Mapping[str, Any]) -> Row:
-        """Return a row as the session keeps it: columns in the robot's order, the pose of `next` if none is given."""
+    def _row_of(self, row: Row | Mapping[str, Any], pose: NextPose | None) -> Row:
+        """Return a row as the session keeps it: columns in the robot's order, the proposed pose if none is given."""
         names = self.robot.joint_names
-        via = None if self._proposed is None else self._proposed.via
+        moves = None
         if isinstance(row, Row):
             readings, moves = row.readings, row.moves
             columns: Mapping[str, Any] = readings.columns()
@@ -400,11 +436,9 @@ class Session:
                 name: value if isinstance(value, (list, tuple)) else [value]
                 for name, value in row.items()
             }
-            moves = None
-            count = max(len(value) for value in columns.values())
+            count = max((len(value) for value in columns.values()), default=0)
             has_joints = any(name.split(" [")[0] in names for name in columns)
             if not has_joints:
-                pose = self.next()
                 if pose is None:
                     raise MeasurementError(
                         "No pose was proposed: give the joint values of the row."
@@ -415,10 +449,13 @@ class Session:
         if table.images and any(table.images):
             number = len(self._course.stops) + 1
             table = replace(table, images=tuple(f"{number:03d} {image}" for image in table.images))
-        if moves is None and via is not None and self._proposed is not None:
-            moves = self._proposed.joints - via
         self._check_names(table)
-        return Row(table.joints[0], table, moves)
+        q = table.joints[0]
+        if moves is None and pose is not None and pose.via is not None:
+            # Elsewhere it is not known where the robot came from.
+            is_there = np.all(np.abs(q - pose.joints) < np.abs(pose.joints - pose.via))
+            moves = q - pose.via if is_there else None
+        return Row(q, table, moves)
 
     def _table_of(self, columns: Mapping[str, Any]) -> Measurements:
         """Return the readings of a stop by their columns, with joint values in the order of the robot's."""
@@ -450,52 +487,71 @@ class Session:
                 f"The reading is of the target '{name}'; those of the cell are {', '.join(setup.targets)}."
             )
 
-    def _added(self, row: Row, key: str, proposed: Sequence[Array]) -> Answer:
+    def _added(self, added: _Added) -> Answer:
         """Add a row that the journal has, and keep what is said of it."""
-        course, answer = self._course.with_row(row, proposed)
-        self._journal.append(_answer_event(course, answer))
+        course, answer = self._course.with_row(added.row, added.proposed, added.planned)
         self._course = course
         self._proposed = None
-        if key:
-            self._answers[key] = answer
+        if added.key:
+            self._answers[added.key] = answer
+        # Without it, on a full disk, the row is judged again when the session is opened.
+        with contextlib.suppress(FileError):
+            self._journal.append(_answer_event(course, answer))
         self._write_table()
         return answer
 
     def _write_table(self) -> None:
-        """Write the table of the stops that count; the journal has them in any case."""
+        """Write the table of the stops that count, if it can be: the journal has them in any case."""
         tables = self._course.tables()
-        if tables:
-            Measurements.joined(tables).write(self.folder / TABLE, overwrite=True)
+        try:
+            if tables:
+                Measurements.joined(tables).write(self.folder / TABLE, overwrite=True)
+            else:
+                (self.folder / TABLE).unlink(missing_ok=True)
+        except (FileError, OSError) as error:
+            self.behind = str(error)
         else:
-            (self.folder / TABLE).unlink(missing_ok=True)
+            self.behind = ""
+
+    def _row_event(self, event: Mapping[str, Any]) -> _Added:
+        """Return the row of an event of the journal."""
+        table = self._table_of(event["columns"])
+        moves = None if event["moves"] is None else np.array(event["moves"])
+        proposed = [] if event["proposed"] is None else [np.array(event["proposed"])]
+        row = Row(table.joints[0], table, moves)
+        return _Added(row, str(event["key"]), proposed, _design_of(event))
 
     def _replay(self) -> None:
-        """Make the course of the journal: answers that it has are taken, the last row without one is judged."""
-        course = self._course
-        pending: tuple[Row, str, list[Array]] | None = None
-        for event in self._journal.events:
+        """Make the course of the journal: answers that it has are taken, rows without one are judged."""
+        pending: _Added | None = None
+        events = self._journal.events
+        for event in events:
             kind = event["event"]
-            if kind == "row":
-                table = self._table_of(event["columns"])
-                moves = None if event["moves"] is None else np.array(event["moves"])
-                proposed = [] if event["proposed"] is None else [np.array(event["proposed"])]
-                pending = Row(table.joints[0], table, moves), str(event["key"]), proposed
-            elif kind == "answer" and pending is not None:
-                row, key, _ = pending
-                course, answer = _answered(course, row, event)
-                if key:
-                    self._answers[key] = answer
+            if kind == "answer" and pending is not None:
+                self._course, answer = _answered(self._course, pending, event)
+                if pending.key:
+                    self._answers[pending.key] = answer
                 pending = None
+                continue
+            if kind in ("row", "undo", "skip") and pending is not None:
+                self._course, answer = self._course.refitted().with_row(
+                    pending.row, pending.proposed, pending.planned
+                )
+                if pending.key:
+                    self._answers[pending.key] = answer
+                pending = None
+            if kind == "row":
+                pending = self._row_event(event)
             elif kind == "undo":
-                course = course.without_last()
+                self._course = self._course.without_last()
                 self._forget(event["stop"])
             elif kind == "skip":
-                course = course.with_skipped(_nearest(course, np.array(event["joints"])))
-        self._course = course.refitted()
+                self._course = self._course.with_skipped(event["candidate"], _design_of(event))
+        self._course = self._course.refitted()
         if pending is not None:
-            row, key, proposed = pending
-            self._added(row, key, proposed)
-        self._write_table()
+            self._added(pending)
+        else:
+            self._write_table()
 
     def _forget(self, number: int) -> None:
         """Forget the answer to a stop that was taken back: its key may be added again."""
@@ -608,7 +664,12 @@ def _answer_event(course: Course, answer: Answer) -> dict[str, Any]:
     }
 
 
-def _answered(course: Course, row: Row, event: Mapping[str, Any]) -> tuple[Course, Answer]:
+def _design_of(event: Mapping[str, Any]) -> tuple[int, ...] | None:
+    """Return the design by which a pose was proposed, as an event of the journal has it; None: by none."""
+    return None if event["planned"] is None else tuple(event["planned"])
+
+
+def _answered(course: Course, added: _Added, event: Mapping[str, Any]) -> tuple[Course, Answer]:
     """Return the course with a row and the answer that the journal has of it, not fitted; and the answer."""
     answer = Answer(
         stop=event["stop"],
@@ -624,16 +685,13 @@ def _answered(course: Course, row: Row, event: Mapping[str, Any]) -> tuple[Cours
         after=event["after_m"],
     )
     counted = set(event["counted"])
-    stops = [
-        replace(stop, counts=stop.number in counted)
-        for stop in (*course.stops, Stop(answer.stop, row, answer, answer.stop in counted))
-    ]
+    stops = [replace(stop, counts=stop.number in counted) for stop in course.stops]
+    stop = Stop(answer.stop, added.row, answer, answer.stop in counted)
     curve = course.curve
     if event["curve_m"] is not None:
         curve = (*curve, CurvePoint(*event["curve_m"]))
     return replace(
-        course,
-        stops=tuple(stops),
+        course.followed_by(stop, stops, added.planned),
         breaks=tuple(_break_of(*broken) for broken in event["breaks"]),
         curve=curve,
     ), answer
