@@ -19,6 +19,7 @@ import numpy as np
 from calib.basics.arguments import check_callable, check_flags, check_path, check_type, check_whole
 from calib.basics.arrays import Array, read_only
 from calib.basics.dates import date_text, now
+from calib.basics.files import write_atomically
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.data.cell import Cell
 from calib.data.inputs import CellInput, RobotInput, cell_of, robot_of
@@ -32,7 +33,15 @@ from calib.verbs.measure.breaks import Break
 from calib.verbs.measure.course import Course, CurvePoint
 from calib.verbs.measure.design import Design
 from calib.verbs.measure.journal import Journal
-from calib.verbs.measure.settings import JOURNAL, PICTURES, TABLE, Settings, cell_of_robot
+from calib.verbs.measure.settings import (
+    CELL,
+    JOURNAL,
+    PICTURES,
+    TABLE,
+    Settings,
+    cell_of_robot,
+    robot_file,
+)
 from calib.verbs.measure.state import NextPose, State, state_of
 from calib.verbs.measure.stop import Answer, Finding, Row, Stop
 from calib.verbs.plan.choice import PlanRequest
@@ -49,6 +58,12 @@ _CANDIDATES = 6000
 _DRAWS = 9
 
 _USUAL_AIM = Aim()
+
+#: Begins the cell file.
+_CELL_HEAD = """\
+# The cell that measurements.csv belongs to, with what has moved. calib measure writes it anew at each stop.
+
+"""
 
 
 class Session:
@@ -123,7 +138,7 @@ class Session:
             if len(start)
             else ()
         )
-        settings = Settings(arm, known, aim, seed, collisions, at)
+        settings = Settings(arm, known, aim, seed, collisions, at, _name_of(robot))
         course = _course_of(settings, progress)
         try:
             place.mkdir(parents=True, exist_ok=True)
@@ -133,7 +148,7 @@ class Session:
             raise FileError(f"'{place / TABLE}' exists: choose another folder for the session.")
         journal = Journal.create(place / JOURNAL)
         try:
-            settings.write(place, _name_of(robot))
+            settings.write(place)
         except BaseException:
             journal.close()
             (place / JOURNAL).unlink(missing_ok=True)
@@ -206,6 +221,11 @@ class Session:
     def aim(self) -> Aim:
         """How accurate the robot is to be, and where."""
         return self._settings.aim
+
+    @property
+    def robot_file(self) -> str:
+        """The robot as `calib.calibrate` takes it: the path or the name it was started with, or the folder's copy."""
+        return robot_file(self._settings, self.folder)
 
     @property
     def torn(self) -> str:
@@ -462,12 +482,16 @@ class Session:
         return answer
 
     def _write_table(self) -> None:
-        """Write the table of the stops that count; the journal has them in any case."""
+        """Write the table of the stops that count, and its cell file; the journal has them in any case."""
         tables = self._course.tables()
-        if tables:
-            Measurements.joined(tables).write(self.folder / TABLE, overwrite=True)
-        else:
+        if not tables:
             (self.folder / TABLE).unlink(missing_ok=True)
+            return
+        Measurements.joined(tables).write(self.folder / TABLE, overwrite=True)
+        urdf = self.robot.urdf
+        sliding = [joint.name for joint in urdf.joints if joint.type == "prismatic"]
+        text = _CELL_HEAD + self.cell.to_toml(sliding)
+        write_atomically(self.folder / CELL, text.encode(), overwrite=True)
 
     def _replay(self) -> None:
         """Make the course of the journal: answers that it has are taken, the last row without one is judged."""
