@@ -243,6 +243,11 @@ class Session:
         return self._journal.events
 
     @property
+    def sights(self) -> tuple[tuple[str, str], ...]:
+        """Station and target of each reading at a pose."""
+        return self._course.design.sensitivity.sights
+
+    @property
     def state(self) -> State:
         """What is known after the stops so far."""
         with self._lock, one_blas_thread():

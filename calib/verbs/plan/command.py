@@ -133,6 +133,7 @@ class PlaceOptions:
             "into the page.",
         ),
     ] = None
+
     def in_cell(self, cell: Cell) -> Cell:
         """Return a cell with its camera and board where the options say; raises `CalibError` for another text.
 
