@@ -12,6 +12,7 @@ import typer
 
 from calib.cli.terminal import say_lines
 from calib.errors import CalibError, DeviceError, MeasurementError
+from calib.show.lines import fill
 from calib.verbs.measure.station import Station
 from calib.verbs.measure.stop import Row
 from calib.verbs.measure.text import (
@@ -22,6 +23,7 @@ from calib.verbs.measure.text import (
     advice_text,
     answer_lines,
     help_lines,
+    hint_line,
     late_line,
     pose_lines,
     prompt,
@@ -109,6 +111,8 @@ class Dialogue:
         Returns:
             True if the session is done; False if it is left, and goes on later.
         """
+        if self._keyboard.is_terminal:
+            say_lines([hint_line(has_instrument=self._station.has_instrument)])
         end: _End = "measured"
         while end not in ("done", "left"):
             state = self._session.state
@@ -178,10 +182,10 @@ class Dialogue:
         self._fault = ""
         state = self._session.state
         say_lines(answer_lines(self._session.robot, answer, state))
-        for advice in state.advice:
+        for advice in state.advice if answer.outcome == "good" else ():
             if advice.code not in self._advised:
                 self._advised.add(advice.code)
-                say_lines([(f"  Hint: {advice_text(advice)}", DIM)])
+                say_lines([(fill(f"Hint: {advice_text(advice)}", "  "), DIM)])
         return "measured"
 
     def _do(self, line: str) -> _End | None:
@@ -248,9 +252,7 @@ class Dialogue:
         if station.has_instrument:
             missing = station.missing if several else ()
             waits = station.waits_for_go and not station.has_robot
-            say_lines(
-                [waiting_line(self._source, missing, waits_for_go=waits, can_type=self._can_type)]
-            )
+            say_lines([waiting_line(self._source, missing, waits_for_go=waits)])
         elif self._keyboard.is_terminal:
             target = station.missing[0] if several and station.missing else ""
             typer.echo(prompt(station.headers, target), nl=False)
@@ -259,5 +261,5 @@ class Dialogue:
     def _say_fault(self, error: CalibError) -> None:
         """Say what is wrong, once as long as it stays the same."""
         if str(error) != self._fault or not self._station.has_instrument:
-            say_lines([(f"  {error}", BAD)])
+            say_lines([(fill(str(error), "  "), BAD)])
         self._fault = str(error)

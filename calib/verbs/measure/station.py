@@ -52,9 +52,6 @@ _ARRIVED = 1e-2
 #: Longest time between two looks [s].
 _LOOK = 0.2
 
-#: Nothing is measured so near to the origin of a measurement frame, or so far from it [m]: its unit is another one.
-_NEAR, _FAR = 20e-3, 200.0
-
 
 @dataclass(slots=True)
 class _Stop:
@@ -121,7 +118,7 @@ class Station:
         )
         #: Number of readings that came before the pose was proposed, and are left out.
         self.late = 0
-        self._typed = LineRows("what was typed", self.context)
+        self._typed = LineRows("what you typed", self.context)
         self._ready: deque[Reading | CalibError] = deque()
         self._stop: _Stop | None = None
         self._repeated: NextPose | None = None
@@ -257,7 +254,13 @@ class Station:
             )
         if self._controller is None:
             self._controller = TypedController("", self.context)
-        self._controller.enter(text)
+        try:
+            self._controller.enter(text)
+        except MeasurementError as error:
+            names = ", ".join(self._controller.headers)
+            raise MeasurementError(
+                f"'{text.strip()}' is not where the robot stands: type the values of {names}."
+            ) from error
 
     def go(self) -> None:
         """Say that the robot stands at the pose, so that an instrument that waits for that is asked."""
@@ -386,7 +389,6 @@ class Station:
         elif {*names} & {*name_columns(reading.table(), names, self._columns)[0]}:
             q = None  # the reading has them
         table = reading.measurements(self.context, q, self._columns)
-        _check_size(table.points if table.points is not None else np.empty((0, 3)))
         if q is None:
             q = table.joints_for(names)[0]
         moves = None if pose.via is None else pose.joints - pose.via
@@ -489,16 +491,3 @@ def _headers(kind: str, unit: str, columns: ColumnOptions | None) -> Iterator[st
     for reading in of_kind.readings:
         common = COMMON[reading.quantity]
         yield f"{reading.name} [{unit if reading.quantity == 'length' else common}]"
-
-
-def _check_size(points: Array) -> None:
-    """Refuse positions that are in another unit, shape (n, 3) [m]: `MeasurementError`."""
-    for point in points[np.isfinite(points).all(axis=1)]:
-        size = float(np.abs(point).max())
-        if size < _NEAR or size > _FAR:
-            x, y, z = (f"{1e3 * value:.6g}" for value in point)
-            how = f"within {1e3 * _NEAR:.0f} mm" if size < _NEAR else f"more than {_FAR:.0f} m"
-            raise MeasurementError(
-                f"The reading is ({x}, {y}, {z}) mm, {how} {'of' if size < _NEAR else 'from'} the instrument's origin: "
-                "is it in another unit? Say which: --unit m, or a header with units, 'x [m],y [m],z [m]'."
-            )

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.robot.robot import Robot
-from calib.show.lines import fill, mm, number, plural, row_ranges
+from calib.show.lines import fill, number, plural, row_ranges
 from calib.show.words import joint_unit, shown
 from calib.verbs.measure.session import Session
 from calib.verbs.measure.state import Advice, NextPose, State
@@ -30,6 +30,9 @@ _INDENT = "  "
 
 #: Columns of a joint value.
 _VALUE = 11
+
+#: Of a range whose ends differ by this factor, the lower one is not shown.
+_WIDE = 2
 
 #: Digits of joint values, 0.001 deg and 0.001 mm, and of places.
 _DIGITS, _PLACE = 3, 1
@@ -68,7 +71,7 @@ def opening_lines(session: Session, *, goes_on: bool) -> Iterator[Line]:
     aim = session.aim
     where = "over the joint ranges" if aim.region is None else "over the region"
     what = f"the accuracy that {aim.poses} poses at random would give" if aim.error is None else ""
-    size = f"{mm(state.aim)} mm rms {where}, with a probability of 95 %"
+    size = f"{_size(state.aim)} rms {where}, with a probability of 95 %"
     yield fill(f"The aim is {f'{what}, {size}' if what else size}."), ""
     if session.torn:
         yield (
@@ -78,6 +81,13 @@ def opening_lines(session: Session, *, goes_on: bool) -> Iterator[Line]:
             ),
             LOOK,
         )
+
+
+def hint_line(*, has_instrument: bool) -> Line:
+    """Return what a person is told to do, once."""
+    if has_instrument:
+        return "Drive to each pose and measure there. Commands can be typed at any time: help.", DIM
+    return "Drive to each pose, type what the instrument shows, and Enter. Commands: help.", DIM
 
 
 def pose_lines(session: Session, pose: NextPose, state: State) -> Iterator[Line]:
@@ -97,7 +107,7 @@ def pose_lines(session: Session, pose: NextPose, state: State) -> Iterator[Line]
         text = "Drive to the pose of the column 'first' before, so that each joint arrives from the right side."
         yield fill(text, _INDENT), DIM
     if pose.error is not None and math.isfinite(pose.error):
-        yield f"{_INDENT}with it the error is expected to be at most {mm(pose.error)} mm", DIM
+        yield f"{_INDENT}with it the error is expected to be at most {_size(pose.error)}", DIM
 
 
 def _title(session: Session, pose: NextPose, state: State) -> str:
@@ -107,8 +117,7 @@ def _title(session: Session, pose: NextPose, state: State) -> str:
         why = "is far off by now" if pose.why == "outlier" else "is to be measured again"
         return f"{title}: stop {pose.stop} {why}; the same pose"
     if state.needed is not None and not state.reached:
-        least, most = (state.stops + n for n in state.needed)
-        title += f" of about {least}" if least == most else f" of about {least} to {most}"
+        title += f" of {_about(*(len(session.stops) + n for n in state.needed))}"
     return f"{title}: drive the robot to"
 
 
@@ -138,24 +147,21 @@ def prompt(headers: Sequence[str], target: str) -> str:
     return f"{_INDENT}{who}{', '.join(parts)}> "
 
 
-def waiting_line(
-    source: str, missing: Sequence[str], *, waits_for_go: bool, can_type: bool
-) -> Line:
+def waiting_line(source: str, missing: Sequence[str], *, waits_for_go: bool) -> Line:
     """Return the line that says what is waited for.
 
     Args:
         source: The instrument, as ``--reader`` names it.
         missing: Targets or cameras that are still to be measured, if there are several.
         waits_for_go: Whether the instrument is asked when a person says so.
-        can_type: Whether a person can type commands.
     """
-    if waits_for_go and can_type:
+    if waits_for_go:
         what = f"Press Enter when the robot stands there; then '{source}' measures."
     elif len(missing) > 1:
         what = f"Measure {', '.join(missing)} there; waiting for '{source}'."
     else:
         what = f"Measure there; waiting for '{source}'."
-    return f"{_INDENT}{what}{' (help lists the commands)' if can_type else ''}", DIM
+    return f"{_INDENT}{what}", DIM
 
 
 def late_line(count: int) -> Line:
@@ -170,38 +176,34 @@ def late_line(count: int) -> Line:
 
 def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
     """Yield the answer to a stop: in a line whether it counts, how far it is off, and the error; then what to do."""
+    off = _sizes(answer.residual)
     if answer.outcome == "good":
-        word, style = "good", GOOD
-    elif answer.outcome == "again":
-        word, style = "NOT GOOD, it does not count", BAD
-    else:
-        word, style = "taken; too few stops yet to check it", ""
-    if answer.outcome == "unknown" and answer.residual:
-        word = "taken"
-    parts = [f"Stop {answer.stop}: {word}"]
-    if answer.residual:
         usual = f" (usual: {_sizes(answer.usual)})" if answer.usual else ""
-        parts.append(f"off by {_sizes(answer.residual)}{usual}")
+        words, style = f"good | off by {off}{usual}", GOOD
+    elif answer.outcome == "again":
+        words, style = "NOT GOOD, it does not count", BAD
+        words += f" | off by {off}" if off else ""
+    else:
+        words, style = "taken | too few stops yet to check it", ""
+        words += f", off by {off}" if off else ""
     if answer.outcome != "again":
-        parts.append(error_text(state))
-    yield " | ".join(parts), style
+        words += f" | {error_text(state)}"
+    yield f"Stop {answer.stop}: {words}", style
     for finding in answer.findings:
         yield (
             fill(finding_text(robot, finding), _INDENT),
             BAD if answer.outcome == "again" else LOOK,
         )
     if answer.outcome == "again" and not answer.findings:
-        yield (
-            fill("Look at target, instrument and joint values, and measure it again.", _INDENT),
-            BAD,
-        )
+        advice = "Look at target, instrument and joint values, and measure it again."
+        yield fill(advice, _INDENT), BAD
 
 
 def error_text(state: State) -> str:
     """Return the expected error beside the aim, and how many poses are still needed."""
     if state.error is None or state.high is None:
-        return "the error is not known yet: more stops are needed"
-    text = f"error at most {mm(state.high)} mm, aim {mm(state.aim)} mm"
+        return "its error is not known yet"
+    text = f"error at most {_size(state.high)}, aim {_size(state.aim)}"
     return text if state.reached else f"{text}, {needed_text(state)}"
 
 
@@ -210,15 +212,26 @@ def needed_text(state: State) -> str:
     if state.needed is None:
         return "many poses to go"
     least, most = state.needed
+    return f"{_about(least, most)} {'pose' if most == 1 else 'poses'} to go"
+
+
+def _about(least: int, most: int) -> str:
+    """Return a range of numbers; of a wide one the largest alone tells something."""
     if least == most:
-        return f"{plural(most, 'pose')} to go"
-    return f"{least} to {most} poses to go"
+        return f"about {most}"
+    return f"about {least} to {most}" if most < _WIDE * least else f"up to {most}"
 
 
 def _sizes(sizes: Mapping[str, float]) -> str:
     """Write residuals with their units."""
-    parts = [f"{shown(size, unit)} {RESIDUAL_UNITS[unit].shown}" for unit, size in sizes.items()]
-    return ", ".join(parts)
+    return ", ".join(_size(size, unit) for unit, size in sizes.items())
+
+
+def _size(value: float, unit: str = "m") -> str:
+    """Write the size of an error with its unit: a large one with fewer digits than errors have."""
+    of_unit = RESIDUAL_UNITS[unit]
+    large = sum(of_unit.to_shown * value >= limit for limit in (1.0, 10.0, 100.0))
+    return f"{shown(value, unit, max(of_unit.digits - large, 0))} {of_unit.shown}"
 
 
 def finding_text(robot: Robot, finding: Finding) -> str:
@@ -229,11 +242,7 @@ def finding_text(robot: Robot, finding: Finding) -> str:
     match finding.code:
         case "gross":
             off = [(f"off_{unit}", unit) for unit in RESIDUAL_UNITS]
-            size = ", ".join(
-                f"{shown(values[key], unit)} {RESIDUAL_UNITS[unit].shown}"
-                for key, unit in off
-                if key in values
-            )
+            size = ", ".join(_size(values[key], unit) for key, unit in off if key in values)
             far = f" by {size}" if size else ""
             return (
                 f"The reading of stop {since} is far off{far}: was the target loose, turned away or another one, or "
@@ -292,16 +301,16 @@ def state_lines(robot: Robot, state: State) -> Iterator[Line]:
     if state.error is not None and state.low is not None and state.high is not None:
         yield (
             fill(
-                f"Expected error of the calibrated robot: {mm(state.error)} mm, from {mm(state.low)} to "
-                f"{mm(state.high)} mm (90 %); aim {mm(state.aim)} mm, "
+                f"Expected error of the calibrated robot: {_size(state.error)}, from {_size(state.low)} to "
+                f"{_size(state.high)} (90 %); aim {_size(state.aim)}, "
                 f"{'reached' if state.reached else needed_text(state)}."
             ),
             GOOD if state.reached else "",
         )
     else:
-        yield f"Expected error: not known yet; aim {mm(state.aim)} mm.", ""
+        yield f"Expected error: not known yet; aim {_size(state.aim)}.", ""
     if state.nominal is not None:
-        yield f"Error of the nominal robot, as the stops show it: {mm(state.nominal, 2)} mm.", ""
+        yield f"Error of the nominal robot, as the stops show it: {_size(state.nominal)}.", ""
     if state.sigma:
         yield f"Noise of one reading: {_sizes(state.sigma)}.", ""
     for finding in state.findings:
@@ -337,8 +346,8 @@ def advice_text(advice: Advice) -> str:
             )
         case "noise":
             return (
-                f"The readings scatter {number(values['factor'], 1)} times as much as stated: look at the "
-                "instrument, the mount of the target, and whether the robot has settled."
+                f"The readings scatter {number(values['factor'], 1)} times as much as stated, or as usual if "
+                "nothing is stated: look at the instrument, the mount of the target, and whether the robot has settled."
             )
         case "lost_motion":
             return "Poses that are approached from both sides would show lost motion."
