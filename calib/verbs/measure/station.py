@@ -422,8 +422,9 @@ class Station:
         picture = detection.pictures[0]
         if not picture.used:
             reasons = [reason_text(picture, detection.fewest), *findings_text(detection)]
+            why = "; ".join(reason.rstrip(".") for reason in reasons)
             raise MeasurementError(
-                f"The picture '{path.name}' cannot be used: {' '.join(reasons)} Take it again."
+                f"The picture '{path.name}' cannot be used: {why}. Take it again."
             )
         described = cell.cameras.get(camera) or next(iter(cell.cameras.values()))
         if picture.size != (described.width, described.height):

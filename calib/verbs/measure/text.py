@@ -185,7 +185,6 @@ def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
         words += f" | off by {off}" if off else ""
     else:
         words, style = "taken | too few stops yet to check it", ""
-        words += f", off by {off}" if off else ""
     if answer.outcome != "again":
         words += f" | {error_text(state)}"
     yield f"Stop {answer.stop}: {words}", style
