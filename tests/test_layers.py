@@ -53,7 +53,7 @@ VERBS: dict[str, set[str]] = {
     "history": set(),
     "inspect": {"compensate", "plan"},
     "joints": {"compensate"},
-    "measure": set(),
+    "measure": {"calibrate", "compensate", "detect", "plan", "workspace"},
     "plan": {"compensate", "view", "workspace"},
     "simulate": {"measure", "plan"},
     "view": {"evaluate"},

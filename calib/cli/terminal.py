@@ -6,7 +6,7 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Literal
@@ -70,13 +70,27 @@ def say(text: str) -> None:
     if not sys.stdout.isatty():
         typer.echo(text)
         return
+    say_lines(styled(text))
+
+
+def say_lines(lines: Iterable[tuple[str, str]]) -> None:
+    """Print lines to stdout, each with its style of rich on a terminal; a file gets them as they are.
+
+    Args:
+        lines: Texts and styles; ``""`` is none.
+    """
+    if not sys.stdout.isatty():
+        for text, _ in lines:
+            typer.echo(text)
+        return
     from rich.console import Console
     from rich.text import Text
 
     console = Console(highlight=False, markup=False, emoji=False)
-    for line, style in styled(text):
+    for text, style in lines:
         # The lines are set already: a narrow terminal wraps them itself, and what is copied stays whole.
-        console.print(Text(line, style), soft_wrap=True)
+        for line in _visible(text).split("\n"):
+            console.print(Text(line, style), soft_wrap=True)
 
 
 def styled(text: str) -> Iterator[tuple[str, str]]:
