@@ -46,6 +46,9 @@ _ENOUGH_FREEDOM = 10.0
 #: How often a stop is measured again before the session goes on without it.
 _TRIES = 3
 
+#: The most explanations that are found at a stop.
+_AT_ONCE = 3
+
 #: Fits to 8, 16, 32, ... stops are those from which the fits to more stops begin.
 _FIRST_START = 8
 
@@ -316,7 +319,7 @@ class Course:
         together: list[int] = []
         if check.is_off:
             together = self._agreeing(row, table, check)
-            accepted = bool(together)
+            accepted = bool(together) or self._shows_another(row, check)
         outcome = "again" if not accepted else "good" if check.is_off is False else "unknown"
         prediction = check.prediction
         answer = Answer(
@@ -335,15 +338,31 @@ class Course:
         ]
         course = self.followed_by(Stop(number, row, answer, accepted), stops, planned)
         if accepted:
-            course, found = course.refitted()._with_breaks()
+            course, found = course.refitted()._explained(
+                given=(number, *together) if together else ()
+            )
             expected = course.expected
+            is_kept = course.stops[-1].counts
             answer = replace(
                 answer,
+                outcome=answer.outcome if is_kept else "again",
                 findings=(*answer.findings, *found),
                 after=None if expected is None else expected.high,
             )
             course = course._with_answer(answer)
         return course._on_curve(), answer
+
+    def _shows_another(self, row: Row, check: RowCheck) -> bool:
+        """Return whether a stop that is off shows that an earlier one is: without that one, it is as expected."""
+        if self.fit is None or any(f.code != "gross" for f in check.findings):
+            return False
+        stop = Stop(len(self.stops) + 1, row, Answer(len(self.stops) + 1, "unknown"), counts=True)
+        trial = self.followed_by(stop, self.stops, None).refitted()
+        if trial.fit is None:
+            return False
+        found = find_moved(trial.fit, self.history.factor, len(trial.counted))
+        last = len(trial.counted) - 1
+        return len(found) == 1 and found[0].what == "stop" and found[0].first != last
 
     def _agreeing(self, row: Row, table: Measurements, check: RowCheck) -> list[int]:
         """Return the numbers of the stops before that one which is off too agrees with: then both count."""
@@ -398,33 +417,57 @@ class Course:
                 starts = (*starts, FitStart(numbers, breaks, fit))
         return replace(self, fit=fit, starts=starts)
 
-    def _with_breaks(self) -> tuple[Course, tuple[Finding, ...]]:
-        """Return the course with what has moved since a stop, and the findings that are new."""
+    def _explained(self, given: Sequence[int] = ()) -> tuple[Course, tuple[Finding, ...]]:
+        """Return the course with what has moved and without stops that are far off by now, and the findings of that.
+
+        Stops that were ``given`` twice, with the same reading, are not taken for gross ones.
+        """
+        course, findings = self, list[Finding]()
+        for _ in range(_AT_ONCE):
+            course, found = course._one_explained(given)
+            if found is None:
+                break
+            findings.append(found)
+        return course, tuple(findings)
+
+    def _one_explained(self, given: Sequence[int]) -> tuple[Course, Finding | None]:
+        """Return the course with the best explanation of its residuals, and what that is; None if there is nothing."""
         if self.fit is None:
-            return self, ()
+            return self, None
         open_ = bool(self.breaks) and not self.breaks[-1].is_decided
         course = self
         if open_:
             course = replace(self, breaks=self.breaks[:-1]).refitted()
         same = replace(self, starts=course.starts)
         if course.fit is None:
-            return same, ()
+            return same, None
         numbers = [stop.number for stop in self.counted]
         # Before frames, targets and robot were determined nothing that moved could be told from them.
         first = -(-self.design.workspace.rank // self.design.measured.shape[1])
         if course.breaks:
             first = max(first, 1 + sum(number <= course.breaks[-1].stop for number in numbers))
         found = find_moved(course.fit, self.history.factor, first)
-        if not found:
-            return same, ()
-        broken = Break.of(found, numbers, course.fit.fitted.estimated_setup())
+        alone = [m for m in found if m.what == "stop" and numbers[m.first] not in given]
+        moved = [m for m in found if m.what != "stop"]
+        if alone and found[0] in alone:
+            if len(alone) > 1 or (moved and moved[0].first < len(numbers) - 1):
+                return same, None  # later stops will tell
+            number = numbers[alone[0].first]
+            stops = tuple(
+                replace(stop, counts=stop.counts and stop.number != number) for stop in self.stops
+            )
+            gain = {"gain": alone[0].gain}
+            return replace(same, stops=stops).refitted(), Finding("gross", (number,), gain)
+        if not moved:
+            return same, None
+        broken = Break.of(moved, numbers, course.fit.fitted.estimated_setup())
         if open_ and broken.same_as(self.breaks[-1]):
-            return same, ()
+            return same, None
         course = replace(course, breaks=(*course.breaks, broken)).refitted()
         since = tuple(stop.number for stop in course.counted if stop.number >= broken.stop)
         name = broken.target if broken.target is not None else broken.station
-        gain = {"gain": found[0].gain}
-        return course, (Finding(broken.code, since, gain, name or ""),)
+        gain = {"gain": moved[0].gain}
+        return course, Finding(broken.code, since, gain, name or "")
 
     def _with_answer(self, answer: Answer) -> Course:
         """Return the course with the last stop's answer replaced."""

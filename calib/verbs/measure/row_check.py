@@ -33,6 +33,9 @@ _BY_CHANCE = 1e-3
 #: Degrees of freedom of the fit's noise from which on its predictions are exact enough for the test.
 _ENOUGH_FREEDOM = 6.0
 
+#: Numbers that were measured before a fit predicts anything.
+_FEWEST = 15
+
 #: Deviation of a reading from what a fit to a few stops predicts, or the nominal robot, that no calibration explains.
 _ROUGH_LENGTH = 20e-3
 _ROUGH_ANGLE = np.deg2rad(5.0)
@@ -119,7 +122,7 @@ def check_row(
     known = fit.fitted.estimate.freedom >= _ENOUGH_FREEDOM and fit.count * len(prediction.y) >= rank
     is_off = square > limit
     if not known:
-        is_off = is_off and _is_far(prediction)
+        is_off = is_off and fit.count * len(prediction.y) >= _FEWEST and _is_far(prediction)
     if repeated:
         return RowCheck(prediction, square, limit, True, tuple(repeated))
     if not is_off:
