@@ -11,7 +11,9 @@ from pathlib import Path
 from calib.basics.units import parse_point
 from calib.data.cell import AUTO
 from calib.result.calibration import Calibration
-from calib.verbs.app.guesses import Looked, column_words, is_typed
+from calib.verbs.app.column_guesses import column_words
+from calib.verbs.app.fields import Looked
+from calib.verbs.app.guesses import is_typed
 from calib.verbs.app.job import (
     CELL,
     CHECKED,
@@ -102,12 +104,10 @@ def _reading_words(looked: Looked) -> Iterator[str]:
 
 def _cell_options(looked: Looked) -> Iterator[str]:
     """Yield what was chosen beside a cell file that was sent, which says the rest."""
-    for name in ("base", "tip", "kind", "frame", "instrument", "target"):
+    for name in ("base", "tip", "kind", "frame", "instrument", "target", "model"):
         one = looked.fields.get(name)
         if one is not None and one.value and one.is_chosen:
             yield from (f"--{name}", one.value)
-    if looked.value("model") not in ("", AUTO):
-        yield from ("--model", looked.value("model"))
 
 
 def check_commands(

@@ -17,6 +17,7 @@ from typing import Any
 from calib.basics.files import read_bytes, write_atomically
 from calib.basics.values import ReadOnlyMapping, Value, keep_read_only
 from calib.errors import FileError
+from calib.verbs.app.worker import COMMANDS, RUN
 
 #: The hidden file of a job.
 RECORD = ".job.json"
@@ -63,7 +64,7 @@ class Job(Value):
     inputs: tuple[str, ...] = ()
     #: What was chosen in place of calib's own guess, by the fields of the page
     choices: Mapping[str, str] = field(default_factory=ReadOnlyMapping)
-    #: The commands, once they were started
+    #: The commands, once they were started; then they stay as they are
     commands: tuple[Command, ...] = ()
 
     def __post_init__(self) -> None:
@@ -102,7 +103,7 @@ class Job(Value):
                 key=str(table["key"]),
                 inputs=tuple(map(str, table["inputs"])),
                 choices={str(name): str(value) for name, value in table["choices"].items()},
-                commands=tuple(tuple(map(str, words)) for words in table["commands"]),
+                commands=_commands(folder),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise FileError(f"'{path}' is damaged; remove the folder of the job.") from error
@@ -116,7 +117,6 @@ class Job(Value):
             "key": self.key,
             "inputs": list(self.inputs),
             "choices": dict(self.choices),
-            "commands": [list(words) for words in self.commands],
         }
         data = json.dumps(table, indent=1, ensure_ascii=False).encode()
         write_atomically(self.folder / RECORD, data, overwrite=True)
@@ -125,6 +125,15 @@ class Job(Value):
     def with_choices(self, choices: Mapping[str, str]) -> Job:
         """Return the job with other choices."""
         return replace(self, choices=dict(choices))
+
+
+def _commands(folder: Path) -> tuple[Command, ...]:
+    """Read the commands of a job's run; none if it was not started."""
+    try:
+        data = (folder / RUN / COMMANDS).read_bytes()
+    except OSError:
+        return ()
+    return tuple(tuple(map(str, words)) for words in json.loads(data))
 
 
 def command_text(words: Sequence[str]) -> str:

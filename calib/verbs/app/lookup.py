@@ -118,7 +118,7 @@ def _bars(entries: tuple[Entry, ...], first: datetime, last: datetime) -> Iterat
         if entry.end == "never":
             width = 0.0
         shade = VerdictBlock(entry.result.verdict or "none", ()).shade
-        x = min(max(begun, 6.0), _WIDTH - 6.0)
+        x = min(begun, _WIDTH - _LEAST)
         yield Bar(round(x, 1), round(min(max(width, _LEAST), _WIDTH - x), 1), shade)
 
 

@@ -26,7 +26,7 @@ from calib.basics.files import write_atomically
 from calib.cli.exit_status import ExitStatus
 from calib.errors import CalibError, FileError
 from calib.verbs.app.job import Command, Job
-from calib.verbs.app.worker import ERRORS, PROGRESS, RUN, STATUS, output_name
+from calib.verbs.app.worker import COMMANDS, ERRORS, PROGRESS, RUN, STATUS, output_name
 
 #: The lock that a run holds, and the number of its process.
 _LOCK, _PROCESS = "lock", "process"
@@ -162,10 +162,11 @@ class Runs:
                 raise CalibError(
                     f"{len(alive)} jobs are running already, as many as run at a time: wait for one, or cancel it."
                 )
-            started = replace(job, commands=commands).write()
             prepared = job.folder / f"{RUN}-{secrets.token_hex(4)}"
             try:
                 prepared.mkdir()
+                words = json.dumps([list(words) for words in commands], ensure_ascii=False)
+                (prepared / COMMANDS).write_text(words, encoding="utf-8")
                 with (
                     (prepared / _LOCK).open("wb") as lock,
                     (prepared / ERRORS).open("wb") as errors,
@@ -184,7 +185,7 @@ class Runs:
                 raise FileError(
                     f"'{job.folder}' cannot be written: {error.strerror or error}."
                 ) from error
-            return started
+            return replace(job, commands=commands)
 
     def cancel(self, job: Job) -> None:
         """Break off the run of a job; files are written whole or not at all, so that none is half written."""

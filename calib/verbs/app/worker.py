@@ -2,8 +2,8 @@
 
     python -m calib.verbs.app.worker FOLDER
 
-The commands are read from the job of the folder, in which it is started. Their outputs, their exit status and the
-progress are left in the job's hidden folder ``.run``.
+The commands are read from the folder's hidden folder ``.run``, and run in the folder. What they print, the exit status
+and the progress are left in ``.run`` too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from calib.basics.progress import Stage, watching
 from calib.errors import FileError
 
 #: Hidden folder of a job's run, and its files.
-RUN, PROGRESS, STATUS, ERRORS = ".run", "progress.json", "status", "errors.txt"
+RUN, COMMANDS, PROGRESS = ".run", "commands.json", "progress.json"
+STATUS, ERRORS = "status", "errors.txt"
 
 #: Least time between two writings of the progress, unless a stage begins [s].
 _PAUSE = 0.15
@@ -97,11 +98,11 @@ def main() -> None:
     """Run the commands one after the other, until one fails, and leave the exit status of the last."""
     folder = Path(sys.argv[1])
     run = folder / RUN
-    table = json.loads((folder / ".job.json").read_bytes())
+    commands = json.loads((run / COMMANDS).read_bytes())
     os.chdir(folder)
     report = Report(run / PROGRESS)
     status = 0
-    for number, words in enumerate(table["commands"]):
+    for number, words in enumerate(commands):
         report.next_command(number)
         sys.argv = ["calib", *words]
         with (run / output_name(number)).open("w", encoding="utf-8") as output:
