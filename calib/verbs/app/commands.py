@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from calib.basics.units import parse_point
+from calib.basics.units import LENGTH, parse_amount, parse_point
 from calib.data.cell import AUTO
 from calib.result.calibration import Calibration
 from calib.verbs.app.column_guesses import column_words
@@ -33,7 +33,7 @@ def cell_text(looked: Looked) -> str:
     """Return the cell file of a calibration, TOML; empty if nothing has to be said.
 
     Raises:
-        CalibError: The position of the target is not of its form.
+        CalibError: The position of the target or the noise is not of its form.
     """
     lines = [*_cell_lines(looked)]
     serial = looked.value("serial")
@@ -51,6 +51,9 @@ def _cell_lines(looked: Looked) -> Iterator[str]:
         numbers = (1e3 * float(value) for value in parse_point(target, "target"))
         yield f"target_mm = [{', '.join(f'{number:.9g}' for number in numbers)}]"
         yield 'target = "estimate"'
+    if noise := looked.value("noise"):
+        size = parse_amount(noise, "noise", LENGTH, "0.03 mm")
+        yield f"sigma_mm = {1e3 * size:.9g}"
     model = looked.value("model")
     if model not in ("", AUTO):
         yield f"model = {_quoted(model)}"

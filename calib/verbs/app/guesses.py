@@ -42,6 +42,9 @@ _INSTRUMENTS = {
     "motion_capture": ("vicon", "optitrack", "mocap", "qualisys", "motion_capture"),
 }
 
+#: Kinds of measurement of sessions on the page.
+_KINDS_OF_SESSIONS = ("point", "pose")
+
 #: Rows of a table that a page shows.
 _PREVIEW = 5
 
@@ -66,9 +69,7 @@ def look(job: Job) -> Looked:
     if not table_name:
         return replace(looked, missing="missing_table")
     try:
-        urdf = read_urdf(
-            robot if is_typed(job, robot) else f"{job.folder / robot}{_arguments(fields)}"
-        )
+        urdf = read_urdf(named_robot(job, looked))
         table = Table.read(f"{job.folder}/{table_name}")
     except CalibError as error:
         return replace(looked, fault=_told(job, error))
@@ -76,6 +77,55 @@ def look(job: Job) -> Looked:
         looked, header=table.header, preview=tuple(tuple(row) for row in table.cells[:_PREVIEW])
     )
     return _look_at_rows(job, looked, fields, urdf, table)
+
+
+def look_for_session(job: Job) -> Looked:
+    """Look at the files of a session: the robot, and a cell file if there is one.
+
+    Args:
+        job: As of `look`.
+
+    Returns:
+        What the files are, and the fields of the setup.
+    """
+    entries = {_name(job, entry.path): entry for entry in look_into(job.folder).entries}
+    files = tuple(_input(job, name, entries.get(name)) for name in job.inputs)
+    fields = Fields(job.choices)
+    robot = _robot_field(job, files, fields)
+    looked = Looked(files=files, fields=fields.made)
+    if not robot:
+        return replace(looked, missing="missing_robot")
+    try:
+        urdf = read_urdf(named_robot(job, looked))
+        stated = _cell_field(job, looked, fields)
+        base, tip = fields.chosen("base") or stated.base, fields.chosen("tip") or stated.tip
+        arm = robot_of_cell(urdf, replace(stated, base=base, tip=tip))
+    except CalibError as error:
+        return replace(looked, fault=_told(job, error))
+    links = plain(urdf.links)
+    has_cell = bool(fields.value("cell"))
+    fields.add(
+        "base", arm.base if has_cell else usual_base(rigid_links(urdf, arm.base), arm.base), links
+    )
+    fields.add("tip", arm.tip, links)
+    fields.add("kind", stated.kind or "point", plain(_KINDS_OF_SESSIONS))
+    fields.add("frame", _frame(stated) if has_cell else "estimate", FRAMES)
+    _further_fields(job, looked, fields, stated)
+    fields.add("aim", "")
+    fields.add("poses", "40")
+    fields.add("collisions", "yes", plain(("yes", "no")))
+    fields.add("reader", "")
+    fields.add("controller", "")
+    return replace(looked, joints=arm.joint_names)
+
+
+def named_robot(job: Job, looked: Looked) -> str:
+    """Return a job's robot as `read_urdf` takes it: a path, with the arguments of a xacro, or a name."""
+    robot = looked.value("robot_name") or looked.value("robot")
+    if is_typed(job, robot):
+        return robot
+    arguments = looked.value("xacro")
+    return f"{job.folder / robot} {arguments}".rstrip()
 
 
 def is_typed(job: Job, robot: str) -> bool:
@@ -91,12 +141,6 @@ def _told(job: Job, error: CalibError) -> str:
 def _name(job: Job, path: Path) -> str:
     """Return the name of a file in the job."""
     return path.relative_to(job.folder).as_posix()
-
-
-def _arguments(fields: Fields) -> str:
-    """Return what follows the name of a xacro."""
-    given = fields.value("xacro")
-    return f" {given}" if given else ""
 
 
 # Files
@@ -317,6 +361,7 @@ def _further_fields(job: Job, looked: Looked, fields: Fields, stated: Cell) -> N
         fields.add("instrument", guess, plain(SCALE_SIGMAS, ""), doubt)
     fields.add("model", stated.model, plain(dict.fromkeys((AUTO, stated.model, *MODELS))))
     if not fields.value("cell"):
+        fields.add("noise", "")
         fields.add("serial", "")
 
 

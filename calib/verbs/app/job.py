@@ -43,6 +43,7 @@ class Kind(Enum):
     CALIBRATE = "calibrate"
     CHECK = "check"
     POSES = "poses"  #: poses to check at
+    MEASURE = "measure"  #: a session
 
 
 #: The words of a command after ``calib``.

@@ -6,33 +6,29 @@ form that makes something carries a key, by which a form that is sent twice is k
 
 from __future__ import annotations
 
-import secrets
-import sys
-import traceback
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import jinja2
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, RedirectResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from calib.basics.files import read_bytes, write_atomically
 from calib.basics.progress import Stage
 from calib.basics.tables import Table
-from calib.data.cell import read_toml
-from calib.errors import CalibError, did_you_mean
+from calib.errors import CalibError
 from calib.example import paper_measurements, paper_urdf
 from calib.result.calibration import Calibration
 from calib.robot.urdf import known_robots
 from calib.verbs.app.checked import checked_of
+from calib.verbs.app.choices import check_no_plugins, choices_of
 from calib.verbs.app.commands import calibration_commands, cell_text, check_commands, poses_commands
-from calib.verbs.app.desk import Desk, title_of
+from calib.verbs.app.desk import title_of
 from calib.verbs.app.guesses import look
 from calib.verbs.app.job import (
     CELL,
@@ -46,12 +42,12 @@ from calib.verbs.app.job import (
     command_text,
 )
 from calib.verbs.app.lookup import line_of, robots_of, stored_results
+from calib.verbs.app.measure_pages import MeasurePages
 from calib.verbs.app.outcome import MOST_OUTLIERS, Outcome, read_outcome
-from calib.verbs.app.runs import Runs, StageDone, State, messages, printed, stages_of, state_of
-from calib.verbs.app.sentences import Sentences, accepted, languages, sentences_for
+from calib.verbs.app.runs import StageDone, State, messages, printed, stages_of, state_of
+from calib.verbs.app.sentences import Sentences, languages
+from calib.verbs.app.site import LANGUAGE, PAGES, THEME, THEMES, Site, check_robot_name
 from calib.verbs.app.uploads import (
-    MOST_BYTES,
-    MOST_OF_A_PICTURE,
     Received,
     UploadError,
     incoming,
@@ -61,14 +57,9 @@ from calib.verbs.app.uploads import (
 )
 from calib.verbs.history.history import history
 from calib.verbs.inspect.folder import What, look_into
-from calib.version import __version__
 
-#: The pages of the navigation, by the keys of their names.
-PAGES = (("open", "/open"), ("check", "/check"), ("history", "/history"))
-
-#: What the browser may keep of a page besides the token: language and brightness, a year [s].
-_LANGUAGE, _THEME, _KEPT = "calib_language", "calib_theme", 31_536_000
-_THEMES = ("auto", "light", "dark")
+#: How long a browser keeps language and brightness [s]: a year.
+_KEPT = 31_536_000
 
 #: Files of the app itself.
 _STATIC: Mapping[str, str] = {"app.css": "text/css", "app.js": "text/javascript"}
@@ -88,6 +79,7 @@ _STAGES: Mapping[Kind, tuple[Stage, ...]] = {
     ),
     Kind.CHECK: (),
     Kind.POSES: (),
+    Kind.MEASURE: (),
 }
 
 #: Name of the table beside pictures that are checked.
@@ -96,31 +88,15 @@ _JOINTS = "joints.csv"
 #: Results that are kept in memory, the latest ones.
 _MOST_KEPT = 8
 
-#: Choices that go if another robot, table or cell is chosen, as they are about its links and columns.
-_OF_ROBOT = ("base", "tip", "frame")
-_OF_TABLE = ("kind", "points", "points_unit", "joint_unit", "position_unit", "brand")
-
 
 class Pages:
     """The pages over a folder."""
 
-    def __init__(self, desk: Desk, runs: Runs, language: str | None) -> None:
-        """Serve the jobs of a desk.
-
-        Args:
-            desk: The folder with the jobs.
-            runs: The processes of the jobs.
-            language: Code of the language of browsers that did not choose one; None: as each prefers.
-        """
-        self._desk, self._runs, self._language = desk, runs, language
+    def __init__(self, site: Site) -> None:
+        """Show the pages of a site."""
+        self._site, self._desk, self._runs = site, site.desk, site.runs
+        self._sessions = MeasurePages(site)
         self._outcomes: dict[tuple[Path, int], Outcome] = {}
-        self._jinja = jinja2.Environment(
-            loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-            autoescape=True,
-            trim_blocks=True,
-            undefined=jinja2.StrictUndefined,
-        )
-        self._jinja.tests["search_column"] = lambda name: str(name).startswith("column:")
 
     @property
     def routes(self) -> list[BaseRoute]:
@@ -139,6 +115,7 @@ class Pages:
             Route("/jobs/{job}/again", self._again, methods=["POST"]),
             Route("/jobs/{job}/remove", self._remove, methods=["POST"]),
             Route("/jobs/{job}/files/{file:path}", self._file),
+            *self._sessions.routes,
             Route("/check", self._check, methods=["GET"]),
             Route("/check", self._start_check, methods=["POST"]),
             Route("/check/poses", self._start_poses, methods=["POST"]),
@@ -147,71 +124,6 @@ class Pages:
             Route("/preferences", self._prefer, methods=["POST"]),
             Route("/static/{file}", self._static),
         ]
-
-    # What all pages share
-
-    def _sentences(self, request: Request) -> Sentences:
-        """Return the sentences of a request: as switched on the page, as started, or as the browser prefers."""
-        wanted = accepted(request.headers.get("accept-language", ""))
-        return sentences_for(request.cookies.get(_LANGUAGE), self._language, *wanted)
-
-    def _draw(
-        self,
-        request: Request,
-        template: str,
-        page: str,
-        *,
-        status: int = 200,
-        **words: Any,  # noqa: ANN401
-    ) -> HTMLResponse:
-        """Fill in a template.
-
-        Args:
-            request: The request.
-            template: Name of the template.
-            page: Key of the page that the navigation marks; empty: none.
-            status: Status of the answer.
-            words: Further words of the template.
-        """
-        theme = request.cookies.get(_THEME, _THEMES[0])
-        html = self._jinja.get_template(template).render(
-            t=self._sentences(request),
-            theme=theme if theme in _THEMES else _THEMES[0],
-            languages=languages(),
-            pages=PAGES,
-            page=page,
-            here=request.url.path if request.method == "GET" else "/",
-            folder=str(self._desk.folder),
-            version=__version__,
-            key=secrets.token_hex(12),
-            limits={"table": MOST_BYTES, "picture": MOST_OF_A_PICTURE},
-            **words,
-        )
-        return HTMLResponse(html, status)
-
-    async def failed(self, request: Request, error: Exception) -> Response:
-        """Answer a request that ended with an error: what was wrong and how to mend it, never a traceback."""
-        t = self._sentences(request)
-        back = "/open"
-        if isinstance(error, HTTPException):
-            text = t("not_found") if error.status_code == 404 else str(error.detail)
-            return self._draw(
-                request,
-                "error.html.j2",
-                "",
-                status=error.status_code,
-                text=text,
-                said="",
-                back=back,
-            )
-        if isinstance(error, CalibError):
-            status = error.status if isinstance(error, UploadError) else 400
-            return self._draw(
-                request, "error.html.j2", "", status=status, text="", said=str(error), back=back
-            )
-        traceback.print_exception(error, file=sys.stderr)  # on the terminal
-        text = t("internal", error=type(error).__name__)
-        return self._draw(request, "error.html.j2", "", status=500, text=text, said="", back=back)
 
     async def _home(self, request: Request) -> Response:  # noqa: ARG002
         """Lead to the first page."""
@@ -226,8 +138,8 @@ class Pages:
             to = "/open"
         answer = RedirectResponse(quote(to), 303)
         for cookie, value, allowed in (
-            (_LANGUAGE, form.get("language", ""), tuple(languages())),
-            (_THEME, form.get("theme", ""), _THEMES),
+            (LANGUAGE, form.get("language", ""), tuple(languages())),
+            (THEME, form.get("theme", ""), THEMES),
         ):
             if value in allowed:
                 answer.set_cookie(cookie, value, max_age=_KEPT, httponly=True, samesite="lax")
@@ -242,18 +154,6 @@ class Pages:
         path = Path(__file__).parent / "static" / name
         return FileResponse(path, media_type=_STATIC[name], headers=headers)
 
-    def _job_of(self, request: Request) -> Job:
-        """Return the job that an address names; HTTPException if there is none."""
-        try:
-            return self._desk.job(request.path_params["job"])
-        except CalibError as error:
-            raise HTTPException(404) from error
-
-    @staticmethod
-    def _to(job: Job) -> Response:
-        """Lead to the page of a job."""
-        return RedirectResponse(f"/jobs/{quote(job.name)}", 303)
-
     # Open
 
     async def _open(self, request: Request) -> Response:
@@ -261,10 +161,9 @@ class Pages:
 
         def read() -> Mapping[str, Any]:
             """Read the jobs."""
-            jobs = [(job, state_of(job)) for job in self._desk.jobs()]
-            return {"jobs": jobs, "robots": known_robots()}
+            return {"jobs": self._site.listed(), "robots": known_robots()}
 
-        return self._draw(request, "open.html.j2", "open", **await run_in_threadpool(read))
+        return self._site.draw(request, "open.html.j2", "open", **await run_in_threadpool(read))
 
     async def _take(self, request: Request) -> Response:
         """Make a job of the files that were sent, or of a robot's name."""
@@ -274,8 +173,8 @@ class Pages:
 
             def make() -> Job:
                 """Make the job."""
-                _check_robot_name(robot)
-                _check_no_plugins(received)
+                check_robot_name(robot)
+                check_no_plugins(received)
                 if not received.files and not robot:
                     raise UploadError("No file was chosen; choose the robot and its measurements.")
                 title = title_of(received.files, robot)
@@ -283,7 +182,7 @@ class Pages:
                 choices = {"robot_name": robot} if robot else {}
                 return self._desk.make(Kind.CALIBRATE, title, key, received, choices)
 
-            return self._to(await run_in_threadpool(make))
+            return self._site.to(await run_in_threadpool(make))
 
     async def _example(self, request: Request) -> Response:
         """Make a job of the paper's UR3."""
@@ -298,42 +197,44 @@ class Pages:
                 received = Received(folder, {}, names)
                 return self._desk.make(Kind.CALIBRATE, "ur3-example", form.get("key", ""), received)
 
-        return self._to(await run_in_threadpool(make))
+        return self._site.to(await run_in_threadpool(make))
 
     async def _add(self, request: Request) -> Response:
         """Add files to a job that was not started."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
         with incoming(self._desk.folder) as folder:
             received = await receive_upload(request, folder)
 
             def add() -> None:
                 """Add them."""
-                _check_no_plugins(received)
+                check_no_plugins(received)
                 if state_of(job) is State.DRAFT:
                     self._desk.add(job, received)
 
             await run_in_threadpool(add)
-        return self._to(job)
+        return self._site.to(job)
 
     async def _drop(self, request: Request) -> Response:
         """Remove a file of a job that was not started."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
         form = await receive_form(request)
         if state_of(job) is State.DRAFT:
             await run_in_threadpool(self._desk.drop, job, form.get("name", ""))
-        return self._to(job)
+        return self._site.to(job)
 
     async def _choose(self, request: Request) -> Response:
         """Keep what was chosen, and calibrate if that was asked for."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
         form = await receive_form(request)
+        if job.kind is Kind.MEASURE:
+            return await self._sessions.choose(request, job, form)
 
         def choose() -> Response | None:
             """Keep the choices; start the job if it is ready."""
             if state_of(job) is not State.DRAFT:
                 return None
-            _check_robot_name(form.get("robot_name", "").strip())
-            chosen = job.with_choices(_choices(job, form)).write()
+            check_robot_name(form.get("robot_name", "").strip())
+            chosen = job.with_choices(choices_of(job, form)).write()
             if form.get("action") != "calibrate":
                 return None
             looked = look(chosen)
@@ -347,25 +248,27 @@ class Pages:
             return None
 
         await run_in_threadpool(choose)
-        return self._to(job)
+        return self._site.to(job)
 
     # A job
 
     async def _job(self, request: Request) -> Response:
         """Show a job: how its files are read, how far it is, or what came out."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
+        if job.kind is Kind.MEASURE:
+            return await self._sessions.page(request, job)
         state = state_of(job)
         page = "open" if job.kind is Kind.CALIBRATE else "check"
-        t = self._sentences(request)
+        t = self._site.sentences(request)
         if state is State.DRAFT and job.kind is Kind.CALIBRATE:
             words = await run_in_threadpool(self._draft_words, job)
-            return self._draw(request, "draft.html.j2", page, job=job, **words)
+            return self._site.draw(request, "draft.html.j2", page, job=job, **words)
         cell = _cell_of(job)
         if state is State.RUNNING:
             stages = _shown_stages(job, t)
-            return self._draw(request, "run.html.j2", page, job=job, stages=stages, cell=cell)
+            return self._site.draw(request, "run.html.j2", page, job=job, stages=stages, cell=cell)
         if state is not State.DONE:
-            return self._draw(
+            return self._site.draw(
                 request,
                 "ended.html.j2",
                 page,
@@ -377,16 +280,16 @@ class Pages:
         words = {"job": job, "cell": cell, "printed": printed(job)}
         if job.kind is Kind.CALIBRATE:
             outcome = await run_in_threadpool(self._outcome, job.folder / RESULT)
-            return self._draw(
+            return self._site.draw(
                 request, "result.html.j2", page, outcome=outcome, most=MOST_OUTLIERS, **words
             )
         if job.kind is Kind.CHECK:
             result = await run_in_threadpool(self._outcome, self._checked_result(job))
             check = checked_of(job.folder / CHECKED, result.result, t)
-            return self._draw(request, "checked.html.j2", page, check=check, **words)
+            return self._site.draw(request, "checked.html.j2", page, check=check, **words)
         table = await run_in_threadpool(Table.read, job.folder / POSES)
         chosen = job.choices.get("result", "")
-        return self._draw(
+        return self._site.draw(
             request,
             "poses.html.j2",
             page,
@@ -435,34 +338,35 @@ class Pages:
 
     async def _progress(self, request: Request) -> Response:
         """Send how far a job is, as a part of its page, and its state."""
-        job = self._job_of(request)
-        stages = _shown_stages(job, self._sentences(request))
-        answer = self._draw(request, "progress.html.j2", "", job=job, stages=stages)
+        job = self._site.job_of(request)
+        stages = _shown_stages(job, self._site.sentences(request))
+        answer = self._site.draw(request, "progress.html.j2", "", job=job, stages=stages)
         answer.headers["x-state"] = state_of(job).value
         return answer
 
     async def _cancel(self, request: Request) -> Response:
         """Break off a job."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
         await receive_form(request)
         await run_in_threadpool(self._runs.cancel, job)
-        return self._to(job)
+        return self._site.to(job)
 
     async def _again(self, request: Request) -> Response:
         """Make a job of the same files, to change how they are read."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
         form = await receive_form(request)
         if job.kind is not Kind.CALIBRATE:
-            return RedirectResponse("/check", 303)
-        return self._to(await run_in_threadpool(self._desk.again, job, form.get("key", "")))
+            return RedirectResponse("/measure" if job.kind is Kind.MEASURE else "/check", 303)
+        return self._site.to(await run_in_threadpool(self._desk.again, job, form.get("key", "")))
 
     async def _remove(self, request: Request) -> Response:
         """Remove a job with its files."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
         await receive_form(request)
 
         def remove() -> None:
             """Break it off, and remove its folder."""
+            self._site.sittings.close(job)
             self._runs.cancel(job)
             self._desk.remove(job)
 
@@ -471,7 +375,7 @@ class Pages:
 
     async def _file(self, request: Request) -> Response:
         """Send a file of a job, by a name that the job knows: its pages to be shown, all others to be kept."""
-        job = self._job_of(request)
+        job = self._site.job_of(request)
         name = request.path_params["file"]
         path = job.files.get(name)
         if path is None:
@@ -490,7 +394,7 @@ class Pages:
         """Show where fresh rows are dropped."""
         found = await run_in_threadpool(stored_results, self._desk.folder)
         chosen = request.query_params.get("result", "")
-        return self._draw(
+        return self._site.draw(
             request,
             "check.html.j2",
             "check",
@@ -522,7 +426,7 @@ class Pages:
 
             def start() -> Job:
                 """Make the job and start it."""
-                _check_no_plugins(received)
+                check_no_plugins(received)
                 name = received.fields.get("result", "")
                 path = self._result_of(name)
                 called = Calibration.read_json(path)
@@ -542,7 +446,7 @@ class Pages:
                 return self._begin(job, check_commands(job, path, called, table, points, tolerance))
 
             try:
-                return self._to(await run_in_threadpool(start))
+                return self._site.to(await run_in_threadpool(start))
             except CalibError as error:
                 return await self._check(request, str(error))
 
@@ -564,7 +468,7 @@ class Pages:
             return self._begin(job, poses_commands(job, path, count))
 
         try:
-            return self._to(await run_in_threadpool(start))
+            return self._site.to(await run_in_threadpool(start))
         except CalibError as error:
             return await self._check(request, str(error))
 
@@ -588,7 +492,9 @@ class Pages:
                 "summary": found.summary() if found.notes else "",
             }
 
-        return self._draw(request, "history.html.j2", "history", **await run_in_threadpool(read))
+        return self._site.draw(
+            request, "history.html.j2", "history", **await run_in_threadpool(read)
+        )
 
     async def _of_history(self, request: Request) -> Response:
         """Send the result of a run, or its corrected URDF, by the beginning of a run that the folder knows."""
@@ -612,51 +518,6 @@ class Pages:
         headers["content-disposition"] = f'attachment; filename="{name}"'
         data = await run_in_threadpool(urdf)
         return Response(data, media_type="application/octet-stream", headers=headers)
-
-
-def _check_robot_name(name: str) -> None:
-    """Refuse the name of a robot that calib does not know: a path is none, as files are sent."""
-    known = known_robots()
-    if name and name.casefold() not in {one.casefold() for one in known}:
-        raise CalibError(
-            f"There is no robot '{name}' that calib knows by its name{did_you_mean(name, known)}. Send its URDF, "
-            "xacro or DH rows as a file."
-        )
-
-
-def _check_no_plugins(received: Received) -> None:
-    """Refuse cell files that load code: what was sent is not run. A file that is no TOML is judged later."""
-    for name in received.files:
-        if not name.lower().endswith(".toml"):
-            continue
-        try:
-            table = read_toml(received.folder / name)
-        except CalibError:
-            continue
-        if "plugins" in table:
-            raise UploadError(
-                f"'{name}' names plugins, which are Python code; the app runs none that was sent. Leave out the key "
-                "'plugins', or calibrate on the command line."
-            )
-
-
-def _choices(job: Job, form: Mapping[str, str]) -> dict[str, str]:
-    """Return what is chosen: before, and where the form differs from what the page showed."""
-    choices = dict(job.choices)
-    changed = {
-        name: value.strip()
-        for name, value in form.items()
-        if f"was:{name}" in form and value.strip() != form[f"was:{name}"]
-    }
-    gone: set[str] = set()
-    if {"robot", "robot_name", "cell"} & changed.keys():
-        gone |= {*_OF_ROBOT}
-    if {"robot", "robot_name", "table"} & changed.keys():
-        gone |= {*_OF_TABLE, *(name for name in choices if name.startswith("column:"))}
-    if "points" in changed:
-        gone |= {"points_unit"}
-    choices = {name: value for name, value in choices.items() if name not in gone}
-    return choices | {name: value for name, value in changed.items() if name not in gone}
 
 
 def _cell_of(job: Job) -> str:

@@ -17,7 +17,7 @@ from calib.errors import CalibError
 from calib.verbs.app.desk import Desk
 from calib.verbs.app.guard import TOKEN, Guard
 from calib.verbs.app.pages import Pages
-from calib.verbs.app.runs import Runs
+from calib.verbs.app.site import Site
 
 #: The only address that the server listens at.
 ADDRESS = "127.0.0.1"
@@ -59,19 +59,16 @@ def bind(port: int | None) -> socket.socket:
     raise CalibError(f"No port of {ADDRESS} is free.")
 
 
-def application(desk: Desk, runs: Runs, port: int, token: str, language: str | None) -> ASGIApp:
+def application(site: Site, port: int, token: str) -> ASGIApp:
     """Return the application: the pages behind the guard.
 
     Args:
-        desk: The folder with the jobs.
-        runs: The processes of the jobs.
+        site: What is served.
         port: The port that it is asked for at.
         token: The token of its address.
-        language: Code of the language; None: as each browser prefers.
     """
-    pages = Pages(desk, runs, language)
-    handlers = {HTTPException: pages.failed, CalibError: pages.failed}
-    inner = Starlette(routes=pages.routes, exception_handlers={**handlers, Exception: pages.failed})
+    handlers = {HTTPException: site.failed, CalibError: site.failed, Exception: site.failed}
+    inner = Starlette(routes=Pages(site).routes, exception_handlers=handlers)
     return Guard(inner, port, token)
 
 
@@ -112,18 +109,17 @@ def serve(
         CalibError: The port is taken.
         FileError: The folder cannot be made or written.
     """
-    desk = Desk(folder)
-    runs = Runs()
-    token = desk.token()
+    site = Site(Desk(folder), language)
+    token = site.desk.token()
     listening = bind(port)
     number = listening.getsockname()[1]
     address = f"http://{ADDRESS}:{number}/?{TOKEN}={token}"
-    server = server_of(application(desk, runs, number, token, language))
+    server = server_of(application(site, number, token))
     say(address)
     if opens:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     try:
         server.run(sockets=[listening])
     finally:
-        runs.close()
+        site.close()
         listening.close()

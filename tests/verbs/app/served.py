@@ -14,8 +14,8 @@ from pathlib import Path
 from urllib.parse import urlencode
 
 from calib.verbs.app.desk import Desk
-from calib.verbs.app.runs import Runs
 from calib.verbs.app.server import ADDRESS, application, bind, server_of
+from calib.verbs.app.site import Site
 
 BOUNDARY = "----calibtest"
 
@@ -154,11 +154,11 @@ def upload_body(parts: Parts, fields: Mapping[str, str]) -> bytes:
 @contextmanager
 def served(folder: Path, language: str | None = None) -> Iterator[Client]:
     """The app over a folder, in a thread of this process, and a client that has not entered yet."""
-    desk, runs = Desk(folder), Runs()
+    site = Site(Desk(folder), language)
     listening = bind(0)
     port = listening.getsockname()[1]
-    token = desk.token()
-    server = server_of(application(desk, runs, port, token, language))
+    token = site.desk.token()
+    server = server_of(application(site, port, token))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
     thread.start()
     try:
@@ -168,5 +168,5 @@ def served(folder: Path, language: str | None = None) -> Iterator[Client]:
     finally:
         server.should_exit = True
         thread.join(20)
-        runs.close()
+        site.close()
         listening.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import string
+from typing import get_args
 
 import pytest
 
@@ -15,6 +16,8 @@ from calib.verbs.app.job import Kind
 from calib.verbs.app.runs import State
 from calib.verbs.app.sentences import DEFAULT, FOLDER, accepted, languages, sentences_for
 from calib.verbs.inspect.folder import What
+from calib.verbs.measure.state import AdviceCode, Why
+from calib.verbs.measure.stop import Code, Outcome
 
 #: A sentence that is asked for by its key.
 _CALL = re.compile(r"""\bt\(["'](\w+)["'][,)]""")
@@ -63,6 +66,10 @@ def made_keys() -> set[str]:
     keys |= {f"run_title_{kind.value}" for kind in Kind}
     keys |= {f"failed_title_{kind.value}" for kind in Kind}
     keys |= {f"outcome_{code}" for code in ("nothing", "moved", "undecided", "row", "other")}
+    keys |= {f"finding_{code}" for code in get_args(Code)}
+    keys |= {f"answer_{code}" for code in get_args(Outcome)}
+    keys |= {f"advice_{code}" for code in get_args(AdviceCode)}
+    keys |= {f"next_why_{code}" for code in get_args(Why)}
     keys |= {f"cause_{code}" for code in ("frame", "target", "base", "hand", "other")}
     return keys
 

@@ -144,17 +144,70 @@ each("[data-progress]", (place) => {
   setTimeout(look, 300);
 });
 
-each("[data-copy]", (button) => {
-  button.hidden = false;
-  const before = button.textContent;
-  button.addEventListener("click", async () => {
-    await navigator.clipboard.writeText(document.getElementById(button.dataset.copy).textContent.trim());
-    button.textContent = button.dataset.done;
-    setTimeout(() => { button.textContent = before; }, 1500);
+function offerCopies() {
+  each("[data-copy][hidden]", (button) => {
+    button.hidden = false;
+    const before = button.textContent;
+    button.addEventListener("click", async () => {
+      await navigator.clipboard.writeText(document.getElementById(button.dataset.copy).textContent.trim());
+      button.textContent = button.dataset.done;
+      setTimeout(() => { button.textContent = before; }, 1500);
+    });
   });
-});
+}
+offerCopies();
 
 each("[data-print]", (button) => {
   button.hidden = false;
   button.addEventListener("click", () => window.print());
+});
+
+// A session: what other browsers and instruments add appears at once; what is being typed stays.
+each("[data-live]", (sitting) => {
+  const entry = document.getElementById("entry");
+  const isTyping = () => entry && [...entry.querySelectorAll("input:not([type=hidden])")].some((input) => input.value);
+  const look = async () => {
+    try {
+      const answer = await fetch(`${sitting.dataset.live}?v=${encodeURIComponent(sitting.dataset.version)}`, { cache: "no-store" });
+      if (answer.status === 200) {
+        const part = new DOMParser().parseFromString(await answer.text(), "text/html");
+        const isOther = answer.headers.get("x-form") !== String(Boolean(entry));
+        if (isOther && !isTyping()) {
+          location.reload();
+          return;
+        }
+        sitting.dataset.version = answer.headers.get("x-version");
+        for (const id of ["live-top", "live-bottom"]) document.getElementById(id).replaceWith(part.getElementById(id));
+        const pose = part.querySelector("input[name=pose]").value;
+        each("iframe[data-at]", (frame) => { if (!frame.src.endsWith(pose)) frame.src = frame.dataset.at + pose; });
+        // A reading that is being typed stays one of the pose that was shown.
+        if (!isTyping()) each("input[name=pose]", (input) => { input.value = pose; }, sitting.querySelector(".now"));
+        offerCopies();
+      }
+    } catch {
+      // The server is away; it may come back.
+    }
+    setTimeout(look, document.hidden ? 3000 : 700);
+  };
+  setTimeout(look, 700);
+});
+
+// Numbers that were copied as one row fall into the fields of a reading one after the other.
+each(".entry fieldset", (fields) => {
+  fields.addEventListener("paste", (event) => {
+    const words = event.clipboardData.getData("text").trim().split(/[;\t]\s*|\s+/).filter(Boolean);
+    const inputs = [...fields.querySelectorAll("input")];
+    if (words.length !== inputs.length) return;
+    event.preventDefault();
+    inputs.forEach((input, k) => { input.value = words[k]; });
+    inputs[inputs.length - 1].focus();
+  });
+});
+
+// A form is sent once.
+document.addEventListener("submit", (event) => {
+  const form = event.target;
+  if (form.dataset.sent && !event.defaultPrevented) event.preventDefault();
+  form.dataset.sent = "1";
+  setTimeout(() => { delete form.dataset.sent; }, 3000);
 });
