@@ -51,12 +51,13 @@ class Checked:
     further: int
 
 
-def checked_of(path: Path, result: Calibration, t: Sentences) -> Checked:
+def checked_of(path: Path, result: Calibration, date: str, t: Sentences) -> Checked:
     """Read the file of a check, and word its answer.
 
     Args:
         path: The file.
         result: The calibration that was checked.
+        date: Its date.
         t: The sentences.
     """
     table: Any = json.loads(read_bytes(path, "The check"))
@@ -86,7 +87,7 @@ def checked_of(path: Path, result: Calibration, t: Sentences) -> Checked:
     further = table["further"]
     return Checked(
         robot=result.nominal.name,
-        date=str(result.record.date or ""),
+        date=date,
         answer=answer[0].upper() + answer[1:],
         shade=shade,
         sign=sign,

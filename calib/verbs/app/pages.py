@@ -284,8 +284,9 @@ class Pages:
                 request, "result.html.j2", page, outcome=outcome, most=MOST_OUTLIERS, **words
             )
         if job.kind is Kind.CHECK:
-            result = await run_in_threadpool(self._outcome, self._checked_result(job))
-            check = checked_of(job.folder / CHECKED, result.result, t)
+            path, date = await run_in_threadpool(self._checked_result, job)
+            result = await run_in_threadpool(self._outcome, path)
+            check = checked_of(job.folder / CHECKED, result.result, date, t)
             return self._site.draw(request, "checked.html.j2", page, check=check, **words)
         table = await run_in_threadpool(Table.read, job.folder / POSES)
         chosen = job.choices.get("result", "")
@@ -329,11 +330,11 @@ class Pages:
             self._outcomes[key] = read_outcome(path)
         return self._outcomes[key]
 
-    def _checked_result(self, job: Job) -> Path:
-        """Return the file of the result that a job checks; CalibError if it is no longer there."""
+    def _checked_result(self, job: Job) -> tuple[Path, str]:
+        """Return the file and the date of the result that a job checks; CalibError if it is no longer there."""
         for one in stored_results(self._desk.folder):
             if one.path == job.choices.get("result"):
-                return self._desk.folder / one.path
+                return self._desk.folder / one.path, one.date.strftime("%Y-%m-%d")
         raise CalibError("The calibration that was checked is no longer in the folder.")
 
     async def _progress(self, request: Request) -> Response:

@@ -121,9 +121,7 @@ def pose_view(session: Session, pose: NextPose, *, is_placed: bool) -> PoseView:
         found = []
         for name, value, is_length in zip(robot.joint_names, q.tolist(), slides, strict=True):
             size = 1e3 * value if is_length else math.degrees(value)
-            found.append(
-                JointValue(name, f"{size + 0.0:.{_DIGITS}f}", "mm" if is_length else "deg")
-            )
+            found.append(JointValue(name, f"{size + 0.0:.{_DIGITS}f}", "mm" if is_length else "°"))
         return tuple(found)
 
     joints = values(pose.joints)
@@ -259,6 +257,17 @@ def ghost_page(session: Session, pose: NextPose, names: tuple[str, str]) -> byte
         draw_robot(group["ghost"], ghost, 1, material, 0.008 * size)
         return [LegendEntry(names[1], CALIBRATED, "ghost")]
 
+    if not stops:  # nobody knows where the robot stands
+        alone = View(
+            robot,
+            None,
+            q[1:],
+            labels=names[1:],
+            nominal_target=target,
+            title=names[1],
+            names=((names[1], ""),),
+        )
+        return view_page(alone).html
     view = View(
         robot, None, q, labels=names, nominal_target=target, title=names[1], names=((names[0], ""),)
     )

@@ -158,7 +158,7 @@ def test_undo_skip_pause_and_too_few_stops(client: Client):
     assert sum(event["event"] == "skip" for event in events(client, job)) == 1
     measure(client, job, person)
     client.post(f"{job}/undo", key="u1")
-    assert "0 stops count" in client.get(job).text
+    assert "Stops that count: 0." in client.get(job).text
     client.post(f"{job}/pause", key="p1", to="pause")
     text = client.get(job).text
     assert "The session pauses" in text
@@ -185,7 +185,7 @@ def test_a_session_goes_on_after_a_restart_and_is_held_by_one(tmp_path: Path):
         client.enter()
         assert shown_pose(client.get(job)).tolist() == pytest.approx(pose.tolist(), abs=1e-4)
         measure(client, job, person)
-        assert "5 stops count" in client.get(job).text
+        assert "Stops that count: 5." in client.get(job).text
     folder = tmp_path / job[6:] / "session"
     with Session.open(folder) as session:
         assert session.state.stops == 5
@@ -209,7 +209,7 @@ def test_readings_of_an_instrument_are_added_as_they_come(client: Client, tmp_pa
         while client.get(f"{job}/live?v={version}").status == 204:
             assert time.monotonic() < end
             time.sleep(0.1)
-        assert f"{count} stops count" in client.get(job).text
+        assert f"Stops that count: {count}." in client.get(job).text
     with exported.open("a") as file:
         file.write("P4 one two three\n")
     end = time.monotonic() + 20.0
@@ -249,7 +249,9 @@ def test_the_ghost_is_a_page_of_its_own(client: Client):
     assert (
         answer.headers["content-security-policy"] == "sandbox allow-scripts; frame-ancestors 'self'"
     )
-    assert b"where it stands" in answer.body
+    assert b"next pose" in answer.body
+    measure(client, job, operator())
+    assert b"where it stands" in client.get(f"{job}/ghost?pose=y").body
 
 
 def test_a_session_without_a_robot_says_what_is_missing(client: Client):
