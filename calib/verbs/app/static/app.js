@@ -192,6 +192,9 @@ each("[data-live]", (sitting) => {
   setTimeout(look, 700);
 });
 
+// One types at once; what is to be read first stays in sight.
+each("input[data-first]", (input) => input.focus({ preventScroll: true }));
+
 // Numbers that were copied as one row fall into the fields of a reading one after the other.
 each(".entry fieldset", (fields) => {
   fields.addEventListener("paste", (event) => {
