@@ -102,6 +102,9 @@ def look_for_session(job: Job) -> Looked:
         arm = robot_of_cell(urdf, replace(stated, base=base, tip=tip))
     except CalibError as error:
         return replace(looked, fault=_told(job, error))
+    if stated.cameras or stated.kind not in (None, *_KINDS_OF_SESSIONS):
+        fault = "The page measures points and poses; sessions of other kinds are measured on the command line."
+        return replace(looked, fault=fault)
     links = plain(urdf.links)
     has_cell = bool(fields.value("cell"))
     fields.add(
@@ -110,7 +113,7 @@ def look_for_session(job: Job) -> Looked:
     fields.add("tip", arm.tip, links)
     fields.add("kind", stated.kind or "point", plain(_KINDS_OF_SESSIONS))
     fields.add("frame", _frame(stated) if has_cell else "estimate", FRAMES)
-    _further_fields(job, looked, fields, stated)
+    _further_fields(job, looked, fields, stated, "doubt_instrument_session")
     fields.add("aim", "")
     fields.add("poses", "40")
     fields.add("collisions", "yes", plain(("yes", "no")))
@@ -348,14 +351,19 @@ def read_rows(job: Job, looked: Looked, arm: Robot, table: Table) -> Measurement
 # Target, instrument, camera
 
 
-def _further_fields(job: Job, looked: Looked, fields: Fields, stated: Cell) -> None:
-    """Add the fields of target, instrument, model and serial number, as a cell states them if there is one."""
+def _further_fields(
+    job: Job, looked: Looked, fields: Fields, stated: Cell, unknown: str = "doubt_instrument"
+) -> None:
+    """Add the fields of target, instrument, model and serial number, as a cell states them if there is one.
+
+    ``unknown`` is the doubt about an instrument of which nothing is said.
+    """
     fields.add("target", "")
     if not looked.images:
         text = " ".join([*job.inputs, *looked.header]).casefold()
         told = [name for name, words in _INSTRUMENTS.items() if any(word in text for word in words)]
         guess = told[0] if told else "tracker" if fields.value("points") else ""
-        doubt = "doubt_instrument_name" if guess else "doubt_instrument"
+        doubt = "doubt_instrument_name" if guess else unknown
         if fields.value("cell"):
             guess, doubt = stated.instrument or "", ""
         fields.add("instrument", guess, plain(SCALE_SIGMAS, ""), doubt)

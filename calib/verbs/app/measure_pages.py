@@ -453,7 +453,7 @@ def _columns(
     columns: dict[str, Any] = {
         header: [row[header] for row in rows.values()] for header in sitting.headers
     }
-    if len(sitting.session.cell.targets) > 1:
+    if len(rows) > 1 or len(sitting.session.cell.targets) > 1:
         columns["target"] = list(rows)
     if typed := form.get("joints", "").split():
         robot = sitting.session.robot

@@ -262,3 +262,36 @@ def test_a_session_without_a_robot_says_what_is_missing(client: Client):
     assert client.post(f"{job}/choose", action="measure").status == 400
     client.post(f"{job}/remove")
     assert client.get(job).status == 404
+
+
+def test_two_targets_have_a_row_of_fields_each(client: Client):
+    cell = b"""base = "base_link"
+tip = "tool0"
+frame = "estimate"
+sigma_mm = 0.03
+[targets_mm]
+a = [70.0, 0.0, 20.0]
+b = [-40.0, 60.0, 20.0]
+"""
+    job = client.upload("/measure", [("files", "two.toml", cell)], robot_name="ur10e").to
+    assert client.post(f"{job}/choose", action="measure").status == 303
+    page = client.get(job)
+    form = hidden(page)
+    for name, places in (("a", (500, 1, 2)), ("b", (510, 3, 4))):
+        form |= {f"value:{name}:{axis} [mm]": str(v) for axis, v in zip("xyz", places, strict=True)}
+    assert all(name in page.text for name in form)
+    assert client.form(f"{job}/reading", form).status == 303
+    row = next(event for event in events(client, job) if event["event"] == "row")
+    assert row["columns"]["target"] == ["a", "b"]
+    lone = hidden(client.get(job)) | {f"value:b:{axis} [mm]": "400" for axis in "xyz"}
+    answer = client.form(f"{job}/reading", lone)
+    assert answer.status == 303, re.findall(r"<blockquote.*?</blockquote>", answer.text)
+    assert [e["columns"]["target"] for e in events(client, job) if e["event"] == "row"][1] == ["b"]
+
+
+def test_a_session_with_a_camera_is_for_the_command_line(client: Client):
+    job = client.upload(
+        "/measure", [("files", "own.toml", b'kind = "pixel"\n')], robot_name="ur10e"
+    ).to
+    assert "on the command line" in client.get(job).text
+    assert client.post(f"{job}/choose", action="measure").status == 400
