@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+import json
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli_fixtures import PROGRAM, calib
+from tests.verbs.app.measured import begun, operator, shown_pose, typed
 from tests.verbs.app.served import Client
 
 pytestmark = pytest.mark.slow
@@ -81,6 +87,36 @@ def test_a_run_outlives_a_server_that_is_killed(tmp_path: Path):
     with started(tmp_path, "--port", "0") as (_, client):
         assert client.enter().wait(job) == "done"
         assert "corrected.urdf" in client.get(job).text
+
+
+def test_a_server_killed_in_a_session_loses_and_doubles_nothing(tmp_path: Path):
+    """Killed at ten moments while a reading is sent, and the same form is sent again after each start."""
+    person = operator()
+    rng = np.random.default_rng(1)
+    sent: dict[str, str] = {}
+    job, answered = "", set()
+    for kill in range(11):
+        with started(tmp_path, "--port", "0") as (process, client):
+            client.enter()
+            job = job or begun(client)
+            if sent:  # the reading that was under way when the server was killed
+                client.form(f"{job}/reading", sent)
+            if kill == 10:
+                break
+            page = client.get(job)
+            reading = person.measure(shown_pose(page), again="Again: stop" in page.text).readings
+            sent = typed(reading.points[0], page)
+            killer = threading.Timer(float(rng.uniform(0.0, 0.12)), process.kill)
+            killer.start()
+            with contextlib.suppress(OSError, http.client.HTTPException):
+                if client.form(f"{job}/reading", sent).status == 303:
+                    answered.add(sent["key"])
+            killer.join()
+    journal = tmp_path / job[6:] / "session" / "journal.jsonl"
+    events = [json.loads(line) for line in journal.read_text().splitlines()]
+    keys = [event["key"] for event in events if event["event"] == "row"]
+    assert len(keys) == len(set(keys)) == 10
+    assert answered <= set(keys)
 
 
 def test_it_listens_on_loopback_alone(tmp_path: Path):
