@@ -25,6 +25,7 @@ from calib.cli.verb import Verb
 #: of the folder ``base_frame``. The docstring of a verb's package is what it does in one line.
 VERBS = (
     "demo",
+    "app",
     "inspect",
     "workspace",
     "plan",

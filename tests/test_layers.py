@@ -37,6 +37,7 @@ CORE = (
 
 #: The verbs, each with those that it may use. All use the core, and the core knows no verb.
 VERBS: dict[str, set[str]] = {
+    "app": {"history", "inspect", "measure", "view"},
     "bag": set(),
     "base_frame": set(),
     "board": set(),

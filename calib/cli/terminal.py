@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from calib.basics.progress import Stage, watching
+from calib.basics.progress import Stage, counted, is_watched, watching
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -151,15 +151,18 @@ def command_line() -> str:
 
 @contextmanager
 def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Show a bar on stderr for each stage of the work in the block.
+    """Show a bar on stderr for each stage of the work in the block; whoever watches the progress hears of it instead.
 
     Args:
         quiet: Whether no bar is wanted.
 
     Yields:
         A function of the stage's name, the work done and all of its work; None if ``quiet``, or if stderr is not a
-        terminal.
+        terminal and nobody watches.
     """
+    if is_watched():
+        yield lambda _stage, done, total: counted(done, total)
+        return
     if quiet or not sys.stderr.isatty():
         yield None
         return
