@@ -124,8 +124,9 @@ def _scans(
         target=dict.fromkeys(setup.target_names, DIRECTIONS),
         targets=setup.target_names,
     )
+    now = fitted.estimated_setup()
     displaced = Kinematics(
-        fitted.task.robot, model, setup.T_frame_base, setup.T_tip_target
+        fitted.task.robot, model, now.T_frame_base, now.T_tip_target
     ).linearised(np.zeros(len(model)), rows.samples)
     by_displacement = rows.standardise(rows.derivative(displaced))
     by_displacement = np.where(rows.used[:, :, None], by_displacement, 0.0)

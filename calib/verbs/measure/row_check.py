@@ -37,6 +37,9 @@ _ENOUGH_FREEDOM = 6.0
 _ROUGH_LENGTH = 20e-3
 _ROUGH_ANGLE = np.deg2rad(5.0)
 
+#: Numbers more than frames and targets have, from which on a fit places them.
+_SPARE = 3
+
 #: Two readings this close together are of one pose if the robot had moved by more than ten times as much [m].
 _SAME_PLACE = 0.5e-3
 
@@ -119,7 +122,7 @@ def check_row(
     known = fit.fitted.estimate.freedom >= _ENOUGH_FREEDOM and fit.count * len(prediction.y) >= rank
     is_off = square > limit
     if not known:
-        is_off = is_off and _is_far(prediction)
+        is_off = is_off and _is_far(fit, prediction)
     if repeated:
         return RowCheck(prediction, square, limit, True, tuple(repeated))
     if not is_off:
@@ -141,8 +144,11 @@ def is_same_again(
     return apart <= limit, other.square / history.factor > _CERTAIN * limit
 
 
-def _is_far(prediction: Prediction) -> bool:
+def _is_far(fit: RunningFit, prediction: Prediction) -> bool:
     """Return whether a deviation is beyond what a fit to very few stops may be off by."""
+    # By no more numbers than it takes to place them, frame and target may be anywhere.
+    if fit.rows.count < fit.fitted.setup.count + _SPARE:
+        return False
     residual, usual = prediction.residual, prediction.usual
     return residual.get("m", 0.0) > _ROUGH_LENGTH + 6.0 * usual.get("m", 0.0) or residual.get(
         "rad", 0.0
