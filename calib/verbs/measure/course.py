@@ -414,7 +414,8 @@ class Course:
         found = find_moved(course.fit, self.history.factor, first)
         if not found:
             return same, ()
-        broken = Break.of(found, numbers, course.fit.fitted.estimated_setup())
+        setup = course.fit.fitted.estimated_setup()
+        broken = Break.of(found, numbers, setup, course.breaks)
         if open_ and broken.same_as(self.breaks[-1]):
             return same, ()
         course = replace(course, breaks=(*course.breaks, broken)).refitted()

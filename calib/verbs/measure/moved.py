@@ -125,9 +125,9 @@ def _scans(
         targets=setup.target_names,
     )
     now = fitted.estimated_setup()
-    displaced = Kinematics(
-        fitted.task.robot, model, now.T_frame_base, now.T_tip_target
-    ).linearised(np.zeros(len(model)), rows.samples)
+    displaced = Kinematics(fitted.task.robot, model, now.T_frame_base, now.T_tip_target).linearised(
+        np.zeros(len(model)), rows.samples
+    )
     by_displacement = rows.standardise(rows.derivative(displaced))
     by_displacement = np.where(rows.used[:, :, None], by_displacement, 0.0)
     count = fit.count

@@ -86,7 +86,7 @@ def test_its_covariance_is_that_of_noise_and_parameters(fit, tables):
     S = np.eye(3) + A @ estimate.covariance @ A.T
     prediction = fit.predict(table)
     assert prediction is not None
-    assert prediction.S == pytest.approx(S, rel=1e-4)
+    assert pytest.approx(S, rel=1e-4) == prediction.S
     square = prediction.y @ np.linalg.inv(S) @ prediction.y / 3.0
     assert prediction.square == pytest.approx(square, rel=1e-4)
     usual = noise_of(fit) * np.sqrt(np.trace(S))
