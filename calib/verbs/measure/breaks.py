@@ -168,7 +168,8 @@ def cell_after(
             priors |= {placed_name("frame", d, new): _knocked(d) for d in DIRECTIONS}
             cell = replace(
                 cell,
-                cameras=_also(cell.cameras, old, new),
+                # A camera without a name is that of all stations.
+                cameras=_also(cell.cameras, old, new) if old else cell.cameras,
                 bases=_also(cell.bases, old, new),
                 frames={**cell.frames, new: broken.T_frame_base},
                 estimate_frame=True,

@@ -139,7 +139,7 @@ def test_it_is_made_of_what_was_found(ur3):
 # The cell
 
 
-def test_the_cell_says_of_new_names_what_it_said_of_the_old(ur3):
+def test_the_cell_says_of_new_names_what_it_said_of_the_old():
     cell = Cell(model="zeros", targets={"a": [0.0, 0.0, 0.1]}, tips={"a": "tool0"})
     broken = Break(5, "a", None, T_TARGET, None)
     after = cell_after(cell, [broken], {"a", "a (2)", ""}, rotation=False)
@@ -172,7 +172,7 @@ def test_what_is_not_measured_since_is_not_in_the_cell():
     assert after.targets == {}
 
 
-def test_cameras_and_boards_are_those_of_the_old_name(ur3):
+def test_cameras_and_boards_are_those_of_the_old_name():
     arm = Robot.load("ur5", base="tool0", tip="base_link")
     virtual = virtual_cell(arm, Cell(kind="pixel", model="zeros", sigma={"px": 0.3}), 7)
     cell = known_cell(virtual, 1)

@@ -184,7 +184,7 @@ def test_nothing_has_moved_in_cells_where_nothing_was_knocked(ur3, model, first)
     for seed in range(25):
         virtual = virtual_cell(ur3, points_cell(model), seed)
         tables = good_readings(virtual, first + 25, seed)
-        for count in range(first + 1, first + 26):
-            found.append(find_moved(fit_of(virtual, tables[:count]), 1.0, first))
+        fits = [fit_of(virtual, tables[:count]) for count in range(first + 1, first + 26)]
+        found += [find_moved(fit, 1.0, first) for fit in fits]
     assert len(found) == 625
     assert sum(map(bool, found)) <= 2
