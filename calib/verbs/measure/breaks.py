@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -40,9 +40,9 @@ class Break(Value):
 
     #: Number of the first stop after it
     stop: int
-    #: The target that may have moved; None: none
+    #: The target that may have moved, by its name at the beginning; None: none
     target: str | None
-    #: The station that may have moved, or whose base has; None: none
+    #: The station that may have moved, or whose base has, by its name at the beginning; None: none
     station: str | None
     #: Shape (4, 4), T_tip_target before it moved [m]; None: no target
     T_tip_target: Array | None
@@ -50,13 +50,20 @@ class Break(Value):
     T_frame_base: Array | None
 
     @classmethod
-    def of(cls, found: Sequence[Moved], numbers: Sequence[int], setup: Setup) -> Break:
+    def of(
+        cls,
+        found: Sequence[Moved],
+        numbers: Sequence[int],
+        setup: Setup,
+        before: Sequence[Break] = (),
+    ) -> Break:
         """Make a break of what may have moved, the likeliest first.
 
         Args:
             found: What may have moved.
             numbers: Numbers of the stops of the fit.
             setup: Frames and targets as that estimated them.
+            before: What had moved before.
         """
         targets = [moved.name for moved in found if moved.what == "target"]
         stations = [moved.name for moved in found if moved.what == "base"]
@@ -67,8 +74,8 @@ class Break(Value):
             T_frame_base = read_only(setup.T_frame_base[setup.groups.index(stations[0])])
         return cls(
             numbers[found[0].first],
-            targets[0] if targets else None,
-            stations[0] if stations else None,
+            _at_beginning("target", targets[0], before) if targets else None,
+            _at_beginning("station", stations[0], before) if stations else None,
             T_tip_target,
             T_frame_base,
         )
@@ -95,36 +102,38 @@ class Break(Value):
 
 
 def relabelled(table: Measurements, number: int, breaks: Sequence[Break]) -> Measurements:
-    """Return the readings of a stop with the names of targets and stations as they stand since they have moved."""
-    targets, groups = [*table.targets], [*table.groups]
+    """Return the readings of a stop with the names of targets and stations as they stand since they have moved.
+
+    Args:
+        table: The readings, with the names of the beginning.
+        number: Number of the stop.
+        breaks: What has moved.
+    """
+    targets, stations = {}, {}
     for k, broken in enumerate(breaks, start=2):
-        if number < broken.stop:
-            continue
-        if broken.target is not None:
-            targets = [f"{t} ({k})" if _origin(t) == _origin(broken.target) else t for t in targets]
-            targets = [_last(t, k) for t in targets]
-        if broken.station is not None:
-            base = _origin(broken.station)
-            groups = [_last(f"{g or _STATION} ({k})", k) if _is(g, base) else g for g in groups]
-    if targets == [*table.targets] and groups == [*table.groups]:
+        if number >= broken.stop:
+            targets |= {broken.target: _names(broken, k)[0]}
+            stations |= {broken.station: _names(broken, k)[1]}
+    new_targets = tuple(targets.get(name, name) for name in table.targets)
+    new_groups = tuple(stations.get(name, name) for name in table.groups)
+    if (new_targets, new_groups) == (table.targets, table.groups):
         return table
-    return replace(table, targets=tuple(targets), groups=tuple(groups))
+    return replace(table, targets=new_targets, groups=new_groups)
 
 
-def _origin(name: str) -> str:
-    """Return the name of a target or station before it moved."""
-    return name.split(" (")[0]
+def _names(broken: Break, k: int) -> tuple[str, str]:
+    """Return what the target and the station of break k, from 2, are called since then; empty: not moved."""
+    target = "" if broken.target is None else f"{broken.target} ({k})"
+    return target, "" if broken.station is None else f"{broken.station or _STATION} ({k})"
 
 
-def _is(group: str, base: str) -> bool:
-    """Return whether a station is that of a name, as it was before it moved."""
-    return _origin(group) == base or (base in ("", _STATION) and _origin(group) in ("", _STATION))
-
-
-def _last(name: str, k: int) -> str:
-    """Return a name with the number of its last move alone."""
-    origin = _origin(name)
-    return f"{origin} ({k})" if name.endswith(f" ({k})") else name
+def _at_beginning(what: Literal["target", "station"], name: str, breaks: Sequence[Break]) -> str:
+    """Return the name that a target or station had at the beginning."""
+    for k, broken in enumerate(breaks, start=2):
+        original = broken.target if what == "target" else broken.station
+        if original is not None and name == _names(broken, k)[what == "station"]:
+            return original
+    return name
 
 
 def cell_after(
@@ -142,8 +151,9 @@ def cell_after(
     """
     for k, broken in enumerate(breaks, start=2):
         priors = dict(cell.parameter_priors)
-        old, new = _names(broken.target, k, "")
-        if new in occurring and broken.T_tip_target is not None:
+        new, new_station = _names(broken, k)
+        old = broken.target
+        if old is not None and new in occurring and broken.T_tip_target is not None:
             directions = DIRECTIONS if rotation else DIRECTIONS[:3]
             priors |= {placed_name("target", d, new): _knocked(d) for d in directions}
             cell = replace(
@@ -153,26 +163,19 @@ def cell_after(
                 targets={**cell.targets, new: broken.T_tip_target[:3, 3]},
                 estimate_target=True,
             )
-        old, new = _names(broken.station, k, _STATION)
-        if new in occurring and broken.T_frame_base is not None:
+        old, new = broken.station, new_station
+        if old is not None and new in occurring and broken.T_frame_base is not None:
             priors |= {placed_name("frame", d, new): _knocked(d) for d in DIRECTIONS}
             cell = replace(
                 cell,
-                cameras=_also(cell.cameras, old, new),
+                # A camera without a name is that of all stations.
+                cameras=_also(cell.cameras, old, new) if old else cell.cameras,
                 bases=_also(cell.bases, old, new),
                 frames={**cell.frames, new: broken.T_frame_base},
                 estimate_frame=True,
             )
         cell = replace(cell, parameter_priors=priors)
     return cell
-
-
-def _names(moved: str | None, k: int, unnamed: str) -> tuple[str, str]:
-    """Return the name of what has moved at the beginning, and since break k; both empty if nothing has."""
-    if moved is None:
-        return "", ""
-    origin = _origin(moved)
-    return origin, f"{origin or unnamed} ({k})"
 
 
 def _knocked(direction: str) -> float:
@@ -194,9 +197,9 @@ def forgotten(information: Array, sensitivity: Sensitivity, broken: Break) -> Ar
     names = dict(zip(sensitivity.setup.targets, sensitivity.setup.places[1], strict=True))
     stations = dict(zip(sensitivity.setup.groups, sensitivity.setup.places[0], strict=True))
     if broken.target is not None:
-        places.add(names.get(_origin(broken.target), TARGET))
+        places.add(names.get(broken.target, TARGET))
     if broken.station is not None:
-        places.add(stations.get(_origin(broken.station), FRAME))
+        places.add(stations.get(broken.station, FRAME))
     gone = np.array([p.place in places for p in sensitivity.kinematics.model.parameters])
     if not gone.any():
         return information

@@ -491,7 +491,8 @@ class Course:
             return replace(same, stops=stops).refitted(), Finding("gross", (number,), gain)
         if not moved:
             return same, None
-        broken = Break.of(moved, numbers, course.fit.fitted.estimated_setup())
+        setup = course.fit.fitted.estimated_setup()
+        broken = Break.of(moved, numbers, setup, course.breaks)
         if open_ and broken.same_as(self.breaks[-1]):
             return same, None
         course = replace(course, breaks=(*course.breaks, broken)).refitted()

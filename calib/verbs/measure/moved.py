@@ -133,9 +133,10 @@ def _scans(
         target=dict.fromkeys(setup.target_names, DIRECTIONS),
         targets=setup.target_names,
     )
-    displaced = Kinematics(
-        fitted.task.robot, model, setup.T_frame_base, setup.T_tip_target
-    ).linearised(np.zeros(len(model)), rows.samples)
+    now = fitted.estimated_setup()
+    displaced = Kinematics(fitted.task.robot, model, now.T_frame_base, now.T_tip_target).linearised(
+        np.zeros(len(model)), rows.samples
+    )
     by_displacement = rows.standardise(rows.derivative(displaced))
     by_displacement = np.where(rows.used[:, :, None], by_displacement, 0.0)
     count = fit.count

@@ -48,6 +48,9 @@ _CLOSER = 0.3
 #: How far a target that is not known may be from the tip [m].
 _LEVER = 0.2
 
+#: Numbers more than frames and targets have, from which on a fit places them.
+_SPARE = 3
+
 #: Largest change of a single joint that is looked for, and the least that is no noise [rad or m]; how often the search
 #: is narrowed to a quarter.
 _JOINT_OFF = 0.6
@@ -127,7 +130,7 @@ def check_row(
     is_off = square > limit
     if not known:
         share = fit.count * len(prediction.y) / rank
-        is_off = is_off and share >= _SOME and _is_far(prediction, share)
+        is_off = is_off and share >= _SOME and _is_far(fit, prediction, share)
     if repeated:
         return RowCheck(prediction, square, limit, True, tuple(repeated))
     if not is_off:
@@ -149,8 +152,10 @@ def is_same_again(
     return apart <= limit, other.square / history.factor > _CERTAIN * limit
 
 
-def _is_far(prediction: Prediction, share: float) -> bool:
+def _is_far(fit: RunningFit, prediction: Prediction, share: float) -> bool:
     """Return whether a deviation is beyond what a fit may be off by to stops with a share of the numbers it needs."""
+    if fit.rows.count < fit.fitted.setup.count + _SPARE:
+        return False
     residual, usual = prediction.residual, prediction.usual
     rough = 1.0 if share < _MOST else _CLOSER
     return residual.get("m", 0.0) > rough * _ROUGH_LENGTH + 6.0 * usual.get("m", 0.0) or (

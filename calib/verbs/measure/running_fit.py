@@ -32,6 +32,9 @@ from calib.result.fewer_corners import with_fewer_corners
 from calib.robot.robot import Robot
 from calib.verbs.plan.sensitivity import PLANNED_FOR_AUTO
 
+#: Degrees of freedom of the noise that the cell states or assumes, beside those of a fit, whose noise may be too small.
+_NOISE_BEFORE = 4.0
+
 #: Singular values below this share of the largest are rounding.
 _ROUNDING = 1e-9
 
@@ -140,7 +143,8 @@ class RunningFit(Value):
         for c, (kind, unit) in enumerate(zip(rows.channel_kinds, rows.channels.units, strict=True)):
             noise[rows.channels.index == c] = by_channel.get((kind.name, unit), estimate.noise[0])
         used = rows.used
-        y = (linear.residual(estimate.x) / noise)[used]
+        larger = self._larger_noise(noise)
+        y = (linear.residual(estimate.x) / (noise * larger))[used]
         A = (linear.A / noise[:, :, None])[used]
         if rows.is_image.all():
             reduce = self._of_board(rows, noise).T
@@ -155,8 +159,18 @@ class RunningFit(Value):
             measuring = rows.channels.where(unit)
             by_unit[unit] = float(np.sqrt(np.nanmean(norms**2)))
             scalars = measuring.sum(axis=1).max()
-            usual[unit] = float(estimate.sigma.get(unit, 0.0) * np.sqrt(scalars * square))
+            factor = float(np.max(larger[measuring]))
+            usual[unit] = float(factor * estimate.sigma.get(unit, 0.0) * np.sqrt(scalars * square))
         return Prediction(y, S, by_unit, usual)
+
+    def _larger_noise(self, noise: Array) -> Array:
+        """Return how many times the noise is that of the fit, 1 or more, for noise as that found it.
+
+        A fit to few stops takes some of the noise for errors of the robot: what is stated or assumed counts too.
+        """
+        freedom = max(self.fitted.estimate.freedom, 0.0)
+        square = (freedom * noise**2 + _NOISE_BEFORE) / (freedom + _NOISE_BEFORE)
+        return np.asarray(np.maximum(np.sqrt(square) / noise, 1.0))
 
     def places(self, q: Array) -> Array:
         """Predict where each target is at joint values (m,), in the measurement frame, shape (k, 3), [m]."""

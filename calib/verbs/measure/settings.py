@@ -83,7 +83,11 @@ class Settings(Value):
             "start": list(self.start),
         }
         write_atomically(folder / ROBOT, urdf.data, overwrite=False)
-        write_atomically(folder / SETTINGS, json_bytes(table), overwrite=False)
+        try:
+            write_atomically(folder / SETTINGS, json_bytes(table), overwrite=False)
+        except BaseException:
+            (folder / ROBOT).unlink()
+            raise
 
     @classmethod
     def read(cls, folder: Path) -> Settings:

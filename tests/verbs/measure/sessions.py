@@ -26,7 +26,7 @@ LENGTH, ANGLE = 4e-5, 2e-4
 
 def points_cell(model: str = "zeros", **entries: Any) -> Cell:
     """A tracker somewhere, which measures points; ``entries`` are those of the cell."""
-    return Cell(estimate_frame=True, model=model, sigma={"m": LENGTH}, **entries)
+    return Cell(**{"estimate_frame": True, "model": model, "sigma": {"m": LENGTH}, **entries})
 
 
 def virtual_cell(robot: Robot, cell: Cell, seed: int = 3) -> VirtualCell:

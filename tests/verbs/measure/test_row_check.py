@@ -13,6 +13,7 @@ from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
 from calib.verbs.measure.row_check import History, RowCheck, check_row, is_same_again
 from calib.verbs.measure.stop import Answer, Finding
+from calib.verbs.simulate.operator import Operator
 from tests.verbs.measure.sessions import (
     ANGLE,
     LENGTH,
@@ -24,7 +25,6 @@ from tests.verbs.measure.sessions import (
     started,
     virtual_cell,
 )
-from calib.verbs.simulate.operator import Operator
 
 #: A usual history: twenty good stops of three numbers.
 USUAL = History(60.0, 60.0)
@@ -204,7 +204,7 @@ def test_without_a_fit_readings_are_held_against_the_nominal_robot(points: Known
     assert [finding.code for finding in far.findings] == ["gross"]
     assert far.findings[0].values["off_m"] > 0.02
     # The same place though the robot has moved; a mere hundredth of a millimetre is noise.
-    turned = points.tables[2].joints + [0.0, 0.6, *[0.0] * (len(points.tables[2].joints[0]) - 2)]
+    turned = [*points.tables[2].joints, 0.0, 0.6, *([0.0] * (len(points.tables[2].joints[0]) - 2))]
     copied = replace(good, joints=turned, points=points.tables[2].points + 1e-5)
     (finding,) = points.check(copied, fit=None).findings
     assert (finding.code, finding.values["stop"]) == ("repeated", 3.0)
@@ -285,6 +285,5 @@ def test_of_several_hundred_good_rows_one_in_a_hundred_at_most_is_to_be_measured
             codes += [finding.code for finding in answer.findings]
     assert len(outcomes) == 360
     wrong = outcomes.count("again") + len([code for code in codes if code.endswith("moved")])
-    print(name, model, kind, "again", outcomes.count("again"), codes)
     assert wrong <= 3
     assert outcomes.count("good") > 200

@@ -53,13 +53,20 @@ def places_by(fit: RunningFit, x: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.asarray(fit.fitted.kinematics.poses(x, Samples.at(q))[:, :3, 3])
 
 
+def noise_of(fit: RunningFit) -> float:
+    """The noise of the fit, and four degrees of freedom of the stated one; not less than that of the fit."""
+    estimate = fit.fitted.estimate
+    square = estimate.freedom * estimate.sigma["m"] ** 2 + 4.0 * LENGTH**2
+    return max(float(np.sqrt(square / (estimate.freedom + 4.0))), estimate.sigma["m"])
+
+
 def test_a_stop_is_compared_with_what_is_predicted(fit, tables):
     estimate = fit.fitted.estimate
     for table in tables[25:30]:
         prediction = fit.predict(table)
         assert prediction is not None
         off = table.points[0] - places_by(fit, estimate.x, table.joints)[0]
-        noise = estimate.sigma["m"]
+        noise = noise_of(fit)
         assert prediction.y == pytest.approx(off / noise, rel=1e-9)
         assert prediction.residual == {"m": pytest.approx(np.linalg.norm(off))}
 
@@ -79,10 +86,10 @@ def test_its_covariance_is_that_of_noise_and_parameters(fit, tables):
     S = np.eye(3) + A @ estimate.covariance @ A.T
     prediction = fit.predict(table)
     assert prediction is not None
-    assert prediction.S == pytest.approx(S, rel=1e-4)
+    assert pytest.approx(S, rel=1e-4) == prediction.S
     square = prediction.y @ np.linalg.inv(S) @ prediction.y / 3.0
     assert prediction.square == pytest.approx(square, rel=1e-4)
-    usual = estimate.sigma["m"] * np.sqrt(np.trace(S))
+    usual = noise_of(fit) * np.sqrt(np.trace(S))
     assert prediction.usual == {"m": pytest.approx(usual, rel=1e-4)}
 
 
