@@ -16,6 +16,7 @@ from types import TracebackType
 
 import numpy as np
 
+import calib.basics.plugins as plugins
 import calib.data.kinds as kinds
 from calib.basics.arrays import Array
 from calib.basics.files import make_folder, read_bytes, write_atomically
@@ -28,6 +29,7 @@ from calib.data.forms.orientations import find_convention
 from calib.errors import CalibError, DeviceError, MeasurementError, choices
 from calib.verbs.detect.text import findings_text, reason_text
 from calib.verbs.measure.devices.controllers import (
+    CONTROLLERS,
     JointSource,
     joints_at_rest,
     open_controller,
@@ -97,9 +99,8 @@ class Station:
             DeviceError: There is no such reader or controller, or it cannot be opened.
             CalibError: The unit is not one of length.
         """
+        check_devices(reader, controller, unit)
         self.session = session
-        if find_unit(unit).quantity != "length":
-            raise CalibError(f"The unit '{unit}' is not one of length; give one such as 'mm'.")
         self._columns = columns
         robot, cell = session.robot, session.cell
         self.headers = tuple(_headers(cell.kind or "point", unit, columns))
@@ -475,6 +476,29 @@ class Station:
             kept = folder / f"{path.stem}_{number}{path.suffix}"
         write_atomically(kept, data, overwrite=False)
         return kept.name
+
+
+def check_devices(reader: str, controller: str, unit: str) -> None:
+    """Refuse, before a session is started, devices that `Station` would refuse by their names.
+
+    Args:
+        reader: As of `Station`.
+        controller: As of `Station`.
+        unit: As of `Station`.
+
+    Raises:
+        DeviceError: There is no such reader or controller.
+        CalibError: The unit is not one of length.
+    """
+    for text, what, known in (
+        (reader, "readers", READERS),
+        (controller, "controllers", CONTROLLERS),
+    ):
+        name = text.partition(":")[0]
+        if text and name not in known:
+            raise DeviceError(plugins.unknown(what, name, known))
+    if find_unit(unit).quantity != "length":
+        raise CalibError(f"The unit '{unit}' is not one of length; give one such as 'mm'.")
 
 
 def _headers(kind: str, unit: str, columns: ColumnOptions | None) -> Iterator[str]:
