@@ -21,13 +21,11 @@ import calib.data.kinds as kinds
 from calib.basics.arrays import Array
 from calib.basics.files import make_folder, read_bytes, write_atomically
 from calib.basics.units import find_unit
-from calib.boards.detection.detect import detect
-from calib.boards.detection.picture import ImageFile
 from calib.data.columns import COMMON, name_columns
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.forms.orientations import find_convention
 from calib.errors import CalibError, DeviceError, MeasurementError, choices
-from calib.verbs.detect.text import findings_text, reason_text
+from calib.verbs.detect.one_picture import find_corners
 from calib.verbs.measure.devices.controllers import (
     CONTROLLERS,
     JointSource,
@@ -419,14 +417,7 @@ class Station:
             )
         boards = list(cell.boards.values())
         camera = self._camera_of(path)
-        detection = detect([ImageFile(path, path.name, camera)], boards)
-        picture = detection.pictures[0]
-        if not picture.used:
-            reasons = [reason_text(picture, detection.fewest), *findings_text(detection)]
-            why = "; ".join(reason.rstrip(".") for reason in reasons)
-            raise MeasurementError(
-                f"The picture '{path.name}' cannot be used: {why}. Take it again."
-            )
+        picture = find_corners(path, boards, camera)
         described = cell.cameras.get(camera) or next(iter(cell.cameras.values()))
         if picture.size != (described.width, described.height):
             raise MeasurementError(

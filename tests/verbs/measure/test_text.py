@@ -27,6 +27,7 @@ from calib.verbs.measure.text import (
     opening_lines,
     pose_lines,
     prompt,
+    reached_lines,
     state_lines,
     waiting_line,
 )
@@ -81,7 +82,7 @@ def test_a_stop_that_does_not_count_is_red_and_says_what_to_do(ur3):
 def test_first_stops_are_neither_good_nor_bad(ur3):
     unknown = replace(STATE, error=None, low=None, high=None, needed=None)
     ((line, style),) = answer_lines(ur3, Answer(1, "unknown"), unknown)
-    assert line == "Stop 1: taken | too few stops yet to check it | its error is not known yet"
+    assert line == "Stop 1: taken | too few stops to check it | its error is not known yet"
     assert style == ""
 
 
@@ -127,6 +128,13 @@ def test_poses_to_go():
         (1, 9): "up to 9 poses to go",
     }.items():
         assert error_text(replace(STATE, needed=needed)).endswith(words)
+
+
+def test_an_aim_that_is_reached_before_stops_check_each_other_is_said():
+    assert joined(reached_lines(can_type=False, is_checked=True)) == "The aim is reached."
+    text = joined(reached_lines(can_type=True, is_checked=False))
+    assert "two or three more stops" in " ".join(text.split())
+    assert "'done' ends the session" in text
 
 
 def test_the_state():
