@@ -25,7 +25,6 @@ def find_corners(path: Path, boards: Sequence[Board], camera: str = "") -> Pictu
 
     Raises:
         MeasurementError: It cannot be used; the text says why.
-        FileError: It cannot be read.
     """
     detection = detect([ImageFile(path, path.name, camera)], boards)
     (picture,) = detection.pictures

@@ -9,7 +9,7 @@ import pytest
 
 from calib.boards.board import Board
 from calib.boards.render import write_png
-from calib.errors import FileError, MeasurementError
+from calib.errors import MeasurementError
 from calib.verbs.detect.one_picture import find_corners
 
 BOARD = Board(pattern="chessboard", columns=6, rows=5, square=0.03)
@@ -32,5 +32,5 @@ def test_a_picture_without_a_board_is_refused_with_its_reason(tmp_path: Path):
     write_png(np.full((480, 640), 128, np.uint8), tmp_path / "wall.png")
     with pytest.raises(MeasurementError, match=r"'wall\.png' cannot be used: hardly any contrast"):
         find_corners(tmp_path / "wall.png", [BOARD])
-    with pytest.raises(FileError):
+    with pytest.raises(MeasurementError, match="not a picture"):
         find_corners(tmp_path / "none.png", [BOARD])
