@@ -258,6 +258,7 @@ HERE = (
     "workspace.md",
     "view.md",
     "dh-rows.md",
+    "sessions.md",
 )
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.

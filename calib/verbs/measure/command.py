@@ -13,7 +13,7 @@ from calib.cli.loading import load
 from calib.cli.options import ColumnChoice, FitOptions, Seed
 from calib.cli.terminal import progress_bar, say_lines
 from calib.cli.verb import verb
-from calib.errors import CalibError, FileError
+from calib.errors import CalibError, DeviceError, FileError
 from calib.verbs.calibrate.command import Outputs, calibrate_files
 from calib.verbs.plan.command import PlaceOptions
 
@@ -217,11 +217,12 @@ def measure(
     from calib.verbs.measure.dialogue import Dialogue
     from calib.verbs.measure.session import Session
     from calib.verbs.measure.settings import CELL, SETTINGS, TABLE
-    from calib.verbs.measure.station import Station
+    from calib.verbs.measure.station import Station, check_devices
     from calib.verbs.measure.text import calibrate_command, kept_text, opening_lines
 
     outputs.check([robot, cell_options.file, starting.region])
     columns = devices.parsed()
+    check_devices(devices.reader, devices.controller or "", devices.unit)
     is_begun = (folder / SETTINGS).exists()
     given = [*_cell_words(cell_options, places), *starting.given]
     if robot is None:
@@ -236,6 +237,7 @@ def measure(
     else:
         session = starting.open(folder, robot, places.in_cell(cell_options.cell()))
     again = shlex.join(_again(folder, devices))
+    is_open = False
     try:
         with (
             session,
@@ -247,11 +249,16 @@ def measure(
                 unit=devices.unit,
             ) as station,
         ):
+            is_open = True
             say_lines(opening_lines(session, goes_on=robot is None))
             dialogue = Dialogue(station, devices.reader, stops_at_aim=stop_at_aim)
             is_done = dialogue.run()
     except KeyboardInterrupt as error:
         raise KeyboardInterrupt(kept_text(str(folder), len(session.stops), again)) from error
+    except DeviceError as error:
+        if is_open or robot is None:
+            raise
+        raise DeviceError(f"{error} The session has begun; go on with: {again}") from error
     counted = sum(stop.counts for stop in session.stops)
     if not is_done or not counted:
         typer.echo(f"\n{kept_text(str(folder), len(session.stops), again)}")

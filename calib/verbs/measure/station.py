@@ -16,18 +16,18 @@ from types import TracebackType
 
 import numpy as np
 
+import calib.basics.plugins as plugins
 import calib.data.kinds as kinds
 from calib.basics.arrays import Array
 from calib.basics.files import make_folder, read_bytes, write_atomically
 from calib.basics.units import find_unit
-from calib.boards.detection.detect import detect
-from calib.boards.detection.picture import ImageFile
 from calib.data.columns import COMMON, name_columns
 from calib.data.forms.column_options import ColumnOptions
 from calib.data.forms.orientations import find_convention
 from calib.errors import CalibError, DeviceError, MeasurementError, choices
-from calib.verbs.detect.text import findings_text, reason_text
+from calib.verbs.detect.one_picture import find_corners
 from calib.verbs.measure.devices.controllers import (
+    CONTROLLERS,
     JointSource,
     joints_at_rest,
     open_controller,
@@ -97,9 +97,8 @@ class Station:
             DeviceError: There is no such reader or controller, or it cannot be opened.
             CalibError: The unit is not one of length.
         """
+        check_devices(reader, controller, unit)
         self.session = session
-        if find_unit(unit).quantity != "length":
-            raise CalibError(f"The unit '{unit}' is not one of length; give one such as 'mm'.")
         self._columns = columns
         robot, cell = session.robot, session.cell
         self.headers = tuple(_headers(cell.kind or "point", unit, columns))
@@ -418,14 +417,7 @@ class Station:
             )
         boards = list(cell.boards.values())
         camera = self._camera_of(path)
-        detection = detect([ImageFile(path, path.name, camera)], boards)
-        picture = detection.pictures[0]
-        if not picture.used:
-            reasons = [reason_text(picture, detection.fewest), *findings_text(detection)]
-            why = "; ".join(reason.rstrip(".") for reason in reasons)
-            raise MeasurementError(
-                f"The picture '{path.name}' cannot be used: {why}. Take it again."
-            )
+        picture = find_corners(path, boards, camera)
         described = cell.cameras.get(camera) or next(iter(cell.cameras.values()))
         if picture.size != (described.width, described.height):
             raise MeasurementError(
@@ -475,6 +467,29 @@ class Station:
             kept = folder / f"{path.stem}_{number}{path.suffix}"
         write_atomically(kept, data, overwrite=False)
         return kept.name
+
+
+def check_devices(reader: str, controller: str, unit: str) -> None:
+    """Refuse, before a session is started, devices that `Station` would refuse by their names.
+
+    Args:
+        reader: As of `Station`.
+        controller: As of `Station`.
+        unit: As of `Station`.
+
+    Raises:
+        DeviceError: There is no such reader or controller.
+        CalibError: The unit is not one of length.
+    """
+    for text, what, known in (
+        (reader, "readers", READERS),
+        (controller, "controllers", CONTROLLERS),
+    ):
+        name = text.partition(":")[0]
+        if text and name not in known:
+            raise DeviceError(plugins.unknown(what, name, known))
+    if find_unit(unit).quantity != "length":
+        raise CalibError(f"The unit '{unit}' is not one of length; give one such as 'mm'.")
 
 
 def _headers(kind: str, unit: str, columns: ColumnOptions | None) -> Iterator[str]:

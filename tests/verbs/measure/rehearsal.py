@@ -83,6 +83,7 @@ class Terminal:
             stdout=theirs,
             stderr=theirs,
             start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # for Ctrl-C
             env={**os.environ, "TERM": "xterm-256color", "PYTHONPATH": str(ROOT)},
         )
         os.close(theirs)
