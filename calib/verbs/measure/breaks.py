@@ -109,7 +109,8 @@ def relabelled(table: Measurements, number: int, breaks: Sequence[Break]) -> Mea
         number: Number of the stop.
         breaks: What has moved.
     """
-    targets, stations = {}, {}
+    targets: dict[str | None, str] = {}
+    stations: dict[str | None, str] = {}
     for k, broken in enumerate(breaks, start=2):
         if number >= broken.stop:
             targets |= {broken.target: _names(broken, k)[0]}
