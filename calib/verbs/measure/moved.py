@@ -19,12 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from scipy.special import fdtri
 
+from calib.basics.arrays import Array
 from calib.basics.values import Value
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
 from calib.model.parameter_sets import DIRECTIONS, error_model
 from calib.verbs.measure.running_fit import RunningFit
@@ -102,6 +104,7 @@ def find_moved(fit: RunningFit, factor: float, first: int) -> tuple[Moved, ...]:
     return tuple(moved for moved in ranked if moved.cost <= ranked[0].cost + _DECIDED)
 
 
+<<<<<<< HEAD
 def _scans(
     fit: RunningFit,
 ) -> Iterator[tuple[What, str, list[tuple[float, int, float, float]]]]:
@@ -125,7 +128,63 @@ def _scans(
     of_priors = precision * (estimate.x - problem.prior_mean) ** 2
     square = float(np.sum(r**2) + np.sum(of_priors) - g @ inverse @ g)
     freedom = float(rows.used.sum() - np.trace(inverse @ flat.T @ flat))
+=======
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFit(Value):
+    """A fit linearised at its solution, with errors of the robot as before any row."""
+>>>>>>> coretests
 
+    #: Shape (N D, p), A
+    A: Array
+    #: Shape (N D,), r
+    r: Array
+    #: Shape (p, p), M^-1
+    inverse: Array
+    #: Shape (p,), g
+    g: Array
+    #: Q
+    square: float
+    #: nu
+    freedom: float
+
+    #: Of a column, a smaller share beside the parameters is rounding.
+    ROUNDING: ClassVar[float] = 1e-9
+
+    @classmethod
+    def of(cls, fit: RunningFit) -> LinearFit:
+        """Linearise a fit at its solution."""
+        fitted, cell = fit.fitted, fit.fitted.task.cell
+        estimate = fitted.estimate
+        problem = estimate.problem
+        linear = problem.linear(estimate.x)
+        r = linear.residual(estimate.x).reshape(-1)
+        # A fit that takes a displacement for noise makes errors of the robot too small.
+        precision = np.array(problem.prior_precision)
+        for k, parameter in enumerate(fitted.kinematics.model.parameters):
+            is_own = parameter.name in cell.parameter_priors
+            if parameter.family in estimate.prior_std and not is_own:
+                precision[k] = 1.0 / cell.priors.of(parameter.family) ** 2
+        pull = precision * (estimate.x - problem.prior_mean)
+        A = linear.A.reshape(len(r), -1)
+        M = A.T @ A + np.diag(precision)
+        g = A.T @ r - pull
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
+        inverse = scale[:, None] * np.linalg.inv(M * np.outer(scale, scale)) * scale
+        of_priors = precision * (estimate.x - problem.prior_mean) ** 2
+        square = float(np.sum(r**2) + np.sum(of_priors) - g @ inverse @ g)
+        freedom = float(fit.rows.used.sum() - np.trace(inverse @ A.T @ A))
+        return cls(A, r, inverse, g, square, freedom)
+
+    def beside(self, E: Array) -> tuple[Array, Array]:
+        """Return h and E^T E - D^T M^-1 D of columns E (N D, c): what they explain, and tell, beside the parameters."""
+        D = self.A.T @ E
+        return E.T @ self.r - D.T @ self.inverse @ self.g, E.T @ E - D.T @ self.inverse @ D
+
+
+def derivative_by(fit: RunningFit) -> tuple[ErrorModel, Array]:
+    """Differentiate what is predicted by joints, stations and targets, (N, D, q), and return their q parameters."""
+    fitted, rows = fit.fitted, fit.rows
+    setup = fitted.setup
     model = error_model(
         fitted.task.robot,
         "zeros",
@@ -137,8 +196,20 @@ def _scans(
     displaced = Kinematics(fitted.task.robot, model, now.T_frame_base, now.T_tip_target).linearised(
         np.zeros(len(model)), rows.samples
     )
-    by_displacement = rows.standardise(rows.derivative(displaced))
-    by_displacement = np.where(rows.used[:, :, None], by_displacement, 0.0)
+    slopes = rows.standardise(rows.derivative(displaced))
+    return model, np.where(rows.used[:, :, None], slopes, 0.0)
+
+
+def _scans(
+    fit: RunningFit,
+) -> Iterator[tuple[Literal["target", "base"], str, list[tuple[float, int, float, float]]]]:
+    """Yield each target and each station, and for its displacement from stop 1, 2, ... on: R_k, c, Q and nu."""
+    setup, stops = fit.fitted.setup, fit.stops
+    linear = LinearFit.of(fit)
+    inverse, g = linear.inverse, linear.g
+    model, by_displacement = derivative_by(fit)
+    of_rows = by_displacement.shape[:2]
+    A, r = linear.A.reshape(*of_rows, -1), linear.r.reshape(of_rows)
     count = fit.count
     frames, targets = setup.places
     places: list[tuple[What, str, tuple[str, ...]]] = []
@@ -153,10 +224,10 @@ def _scans(
         size = np.sqrt(np.sum(E**2, axis=(0, 1)))
         E = E[:, :, size > _SEEN * size.max()] / size[size > _SEEN * size.max()]
         c = E.shape[2]
-        EE, AE, Er = np.zeros((count, c, c)), np.zeros((count, len(M), c)), np.zeros((count, c))
+        EE, AE, Er = np.zeros((count, c, c)), np.zeros((count, len(g), c)), np.zeros((count, c))
         for stop in range(count):
             of_stop = stops == stop
-            e, a = E[of_stop].reshape(-1, c), A[of_stop].reshape(-1, len(M))
+            e, a = E[of_stop].reshape(-1, c), A[of_stop].reshape(-1, len(g))
             EE[stop], AE[stop] = e.T @ e, a.T @ e
             Er[stop] = e.T @ r[of_stop].reshape(-1)
         if what != "stop":  # sums from each stop to the last one
@@ -170,5 +241,10 @@ def _scans(
             seen = values > _SHOWN * max(float(np.trace(EE[k])), 1.0 / count)
             along = vectors[:, seen].T @ h
             gain = float(np.sum(along**2 / values[seen]))
+<<<<<<< HEAD
             scan.append((gain, int(seen.sum()), square, freedom))
         yield what, name, scan
+=======
+            scan.append((gain, int(seen.sum()), linear.square, linear.freedom))
+        yield what, name, scan  # type: ignore[misc]
+>>>>>>> coretests

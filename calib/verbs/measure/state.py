@@ -12,6 +12,7 @@ from calib.basics.arrays import Array
 from calib.basics.values import Value, keep_read_only
 from calib.model.error_model import FRAME, TARGET
 from calib.verbs.measure.course import Course, CurvePoint
+from calib.verbs.measure.lost_motion import find_lost_motion
 from calib.verbs.measure.stop import Finding
 
 #: Why a pose is next: it tells most (``"information"``), the last stop is to be measured again (``"again"``), or an
@@ -20,7 +21,7 @@ Why = Literal["information", "again", "outlier"]
 
 #: What would help: to know a joint (``"joint"``), poses in a part of space (``"region"``), a second target
 #: (``"second_target"``), a known length (``"length"``), a closer look at an instrument that is noisier than it is
-#: stated (``"noise"``), poses from both sides (``"lost_motion"``).
+#: stated (``"noise"``), a model with lost motion, which a joint has (``"lost_motion"``).
 AdviceCode = Literal["joint", "region", "second_target", "length", "noise", "lost_motion"]
 
 #: A joint whose errors make this share of the expected square is named.
@@ -202,6 +203,10 @@ def _advice(course: Course) -> Iterator[Advice]:
         share = 1.0 - float(np.trace((C - cross @ np.linalg.solve(own, cross.T)) @ B)) / total
         if share > _MUCH:
             yield Advice("length", {"share": share})
+    lost = None if course.fit is None else find_lost_motion(course.fit, course.history.factor)
+    if lost is not None:
+        joint, change = lost
+        yield Advice("lost_motion", {"change": change}, joint)
     noise = float(np.max(known.noise))
     if noise > _NOISY:
         yield Advice("noise", {"factor": noise})

@@ -40,7 +40,7 @@ class Answer:
 
     def key(self, form: int = 0) -> str:
         """The hidden key of a form."""
-        return re.findall(r'name="key" value="([^"]+)"', self.text)[form]
+        return str(re.findall(r'name="key" value="([^"]+)"', self.text)[form])
 
 
 @dataclass
