@@ -104,35 +104,9 @@ def find_moved(fit: RunningFit, factor: float, first: int) -> tuple[Moved, ...]:
     return tuple(moved for moved in ranked if moved.cost <= ranked[0].cost + _DECIDED)
 
 
-<<<<<<< HEAD
-def _scans(
-    fit: RunningFit,
-) -> Iterator[tuple[What, str, list[tuple[float, int, float, float]]]]:
-    """Yield what may have moved, and for its displacement from stop 0, 1, ... on, or there alone: R_k, c, Q and nu."""
-    fitted, rows, stops = fit.fitted, fit.rows, fit.stops
-    setup, estimate, cell = fitted.setup, fitted.estimate, fitted.task.cell
-    problem = estimate.problem
-    linear = problem.linear(estimate.x)
-    A, r = linear.A, linear.residual(estimate.x)
-    # Errors as before any row: a fit that takes a displacement for noise makes them too small.
-    precision = np.array(problem.prior_precision)
-    for k, parameter in enumerate(fitted.kinematics.model.parameters):
-        if parameter.family in estimate.prior_std and parameter.name not in cell.parameter_priors:
-            precision[k] = 1.0 / cell.priors.of(parameter.family) ** 2
-    pull = precision * (estimate.x - problem.prior_mean)
-    flat = A.reshape(-1, A.shape[2])
-    M = flat.T @ flat + np.diag(precision)
-    g = flat.T @ r.reshape(-1) - pull
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
-    inverse = scale[:, None] * np.linalg.inv(M * np.outer(scale, scale)) * scale
-    of_priors = precision * (estimate.x - problem.prior_mean) ** 2
-    square = float(np.sum(r**2) + np.sum(of_priors) - g @ inverse @ g)
-    freedom = float(rows.used.sum() - np.trace(inverse @ flat.T @ flat))
-=======
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit(Value):
     """A fit linearised at its solution, with errors of the robot as before any row."""
->>>>>>> coretests
 
     #: Shape (N D, p), A
     A: Array
@@ -202,8 +176,8 @@ def derivative_by(fit: RunningFit) -> tuple[ErrorModel, Array]:
 
 def _scans(
     fit: RunningFit,
-) -> Iterator[tuple[Literal["target", "base"], str, list[tuple[float, int, float, float]]]]:
-    """Yield each target and each station, and for its displacement from stop 1, 2, ... on: R_k, c, Q and nu."""
+) -> Iterator[tuple[What, str, list[tuple[float, int, float, float]]]]:
+    """Yield what may have moved, and for its displacement from stop 0, 1, ... on, or there alone: R_k, c, Q and nu."""
     setup, stops = fit.fitted.setup, fit.stops
     linear = LinearFit.of(fit)
     inverse, g = linear.inverse, linear.g
@@ -241,10 +215,5 @@ def _scans(
             seen = values > _SHOWN * max(float(np.trace(EE[k])), 1.0 / count)
             along = vectors[:, seen].T @ h
             gain = float(np.sum(along**2 / values[seen]))
-<<<<<<< HEAD
-            scan.append((gain, int(seen.sum()), square, freedom))
-        yield what, name, scan
-=======
             scan.append((gain, int(seen.sum()), linear.square, linear.freedom))
-        yield what, name, scan  # type: ignore[misc]
->>>>>>> coretests
+        yield what, name, scan
