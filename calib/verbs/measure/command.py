@@ -277,6 +277,20 @@ def _again(folder: Path, devices: DeviceOptions) -> list[str]:
     return ["calib", "measure", str(folder), *devices.words]
 
 
+def _output_words(outputs: Outputs) -> list[str]:
+    """Return the outputs as they are typed."""
+    words = []
+    for flag, path in {
+        "-o": outputs.output,
+        "--json": outputs.json,
+        "--view": outputs.view,
+        "--report": outputs.report,
+        "--figures": outputs.figures,
+    }.items():
+        words += [] if path is None else [flag, str(path)]
+    return words
+
+
 def _cell_words(cell_options: SessionCellOptions, places: PlaceOptions) -> list[str]:
     """Return the options of the cell that were given."""
     words = ["--cell"] if cell_options.file is not None else []

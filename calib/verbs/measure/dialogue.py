@@ -98,8 +98,12 @@ class Dialogue:
         """
         self._station, self._session = station, station.session
         self._source = source
-        self._stops_at_aim = stops_at_aim
         self._keyboard = Keyboard()
+        #: An instrument that measures by itself goes on by itself, unless a person watches it.
+        self._is_watched = self._keyboard.is_terminal
+        self._stops_at_aim = stops_at_aim or (station.is_told and not self._is_watched)
+        #: True while such an instrument waits for that person.
+        self._waits = False
         #: Advice that was given already.
         self._advised = {"second_target"}
         self._has_said_reached = False
@@ -140,10 +144,12 @@ class Dialogue:
 
     def _measure(self) -> _End:
         """Wait at a pose for its readings, and do what is typed."""
+        self._waits = self._station.is_told and self._is_watched
         self._ask()
         while True:
             # Rows are typed for one pose after the other: what is piped waits.
-            line = self._keyboard.line(0.0 if self._station.has_instrument else _LOOK)
+            is_read = self._station.has_instrument and not self._waits
+            line = self._keyboard.line(0.0 if is_read else _LOOK)
             if line is not None:
                 end = self._do(line.strip())
                 if end is not None:
@@ -153,6 +159,10 @@ class Dialogue:
                 if row is not None:
                     self._add(row)
                 return "done"
+            if self._waits and self._can_type:
+                if line:
+                    self._ask()
+                continue
             try:
                 row = self._station.read(_LOOK if self._station.has_instrument else 0.0)
             except (MeasurementError, DeviceError) as error:
@@ -198,6 +208,7 @@ class Dialogue:
             match word:
                 case "":
                     self._station.go()
+                    self._waits = False
                 case "done":
                     return "done"
                 case "quit" | "exit":
@@ -253,7 +264,7 @@ class Dialogue:
         several = len(station.missing) > 1 or len(station.context.targets) > 1
         if station.has_instrument:
             missing = station.missing if several else ()
-            waits = station.waits_for_go and not station.has_robot
+            waits = self._waits or (station.waits_for_go and not station.has_robot)
             say_lines([waiting_line(self._source, missing, waits_for_go=waits)])
         elif self._keyboard.is_terminal:
             target = station.missing[0] if several and station.missing else ""
