@@ -25,7 +25,15 @@ from calib.verbs.measure.breaks import Break, cell_after, forgotten, relabelled
 from calib.verbs.measure.design import Choice, Design, Known
 from calib.verbs.measure.expectation import Expectation
 from calib.verbs.measure.moved import find_moved
-from calib.verbs.measure.row_check import History, RowCheck, check_row, conflicts, is_same_again
+from calib.verbs.measure.row_check import (
+    SAME_PLACE,
+    History,
+    RowCheck,
+    check_row,
+    conflicts,
+    contradiction,
+    is_same_again,
+)
 from calib.verbs.measure.running_fit import RunningFit
 from calib.verbs.measure.stop import SAME_POSE, Answer, Finding, Row, Stop
 from calib.verbs.plan.forecast import information
@@ -48,9 +56,6 @@ _TRIES = 3
 
 #: Stops among which one that contradicts most others is wrong.
 _FEWEST_JUDGES = 4
-
-#: Readings of one pose that differ by no more agree, if nothing is known of the noise [m].
-_SAME = 1e-3
 
 #: The most explanations that are found at a stop.
 _AT_ONCE = 3
@@ -321,8 +326,12 @@ class Course:
         check = check_row(
             self.robot, self.fit, table, number, earlier, proposed, self.history, rank
         )
-        if check.is_off is None and self._contradicts(table):
-            check = replace(check, is_off=True, findings=(Finding("gross", (number,)),))
+        if check.is_off is None:
+            counted = [(s.number, t) for s, t in zip(self.counted, self.tables(), strict=True)]
+            setup = self.design.sensitivity.setup
+            wrong = contradiction(self.robot, setup, counted, table, number)
+            if wrong is not None:
+                check = replace(check, is_off=True, findings=(wrong,))
         accepted = not check.is_off
         together: list[int] = []
         if check.is_off:
@@ -360,15 +369,9 @@ class Course:
             course = course._with_answer(answer)
         return course._on_curve(), answer
 
-    def _contradicts(self, table: Measurements) -> bool:
-        """Return whether a reading contradicts most of the stops that count."""
-        tables = [relabelled(s.row.readings, s.number, self.breaks) for s in self.counted]
-        others = conflicts(self.robot, self.design.sensitivity.setup, [*tables, table])[-1, :-1]
-        return bool(len(others)) and float(np.mean(others)) > 0.5
-
     def _without_contradicted(self) -> tuple[Course, tuple[Finding, ...]]:
         """Return the course without the stops that most others contradict, and the findings of that."""
-        tables = [relabelled(s.row.readings, s.number, self.breaks) for s in self.counted]
+        tables = self.tables()
         if len(tables) < _FEWEST_JUDGES:
             return self, ()
         share = conflicts(self.robot, self.design.sensitivity.setup, tables).sum(axis=1)
@@ -397,7 +400,9 @@ class Course:
         if check.prediction is None and not any(f.code == "repeated" for f in check.findings):
             # Without a fit readings agree that are a few times the noise apart.
             pairs = [(s, s.row.readings) for s in tries if len(s.row.readings) == len(table)]
-            return [s.number for s, t in pairs if np.abs(t.points - table.points).max() < _SAME]
+            return [
+                s.number for s, t in pairs if np.abs(t.points - table.points).max() < SAME_PLACE
+            ]
         if not tries or self.fit is None or check.prediction is None:
             return []
         # The mistake may have been made twice; that a joint is elsewhere is believed once more.

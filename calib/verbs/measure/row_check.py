@@ -45,6 +45,9 @@ _ROUGH_ANGLE = np.deg2rad(5.0)
 #: Part of it if the fit has most of the numbers that it needs.
 _CLOSER = 0.3
 
+#: Readings that differ by no more are the same, if nothing is known of the noise [m].
+SAME_PLACE = 1e-3
+
 #: How far a target that is not known may be from the tip [m].
 _LEVER = 0.2
 
@@ -216,6 +219,31 @@ def conflicts(robot: Robot, setup: Setup, tables: Sequence[Measurements]) -> Mas
     expected = np.linalg.norm(nominal[:, None] - nominal, axis=2)
     same = np.array([[a == b for b in names] for a in names])
     return np.asarray(same & (np.abs(apart - expected) > _ROUGH_LENGTH + slack))
+
+
+def contradiction(
+    robot: Robot,
+    setup: Setup,
+    counted: Sequence[tuple[int, Measurements]],
+    table: Measurements,
+    number: int,
+) -> Finding | None:
+    """Return what is wrong with a stop that contradicts most of those that count; None if it does not.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets as the cell states them.
+        counted: Numbers and readings of the stops that count.
+        table: The readings of the stop.
+        number: Its number.
+    """
+    against = conflicts(robot, setup, [*(other for _, other in counted), table])[-1, :-1]
+    for k, (stop, other) in reversed([*enumerate(counted)]):
+        if against[k] and np.abs(other.points[0] - table.points[0]).max() < SAME_PLACE:
+            return Finding("repeated", (number,), {"stop": float(stop)})
+    if not len(against) or np.mean(against) <= 0.5:
+        return None
+    return Finding("gross", (number,))
 
 
 def _explained(
