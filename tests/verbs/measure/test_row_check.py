@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, f
+from scipy.stats import f
 
 from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
@@ -204,7 +204,8 @@ def test_without_a_fit_readings_are_held_against_the_nominal_robot(points: Known
     assert [finding.code for finding in far.findings] == ["gross"]
     assert far.findings[0].values["off_m"] > 0.02
     # The same place though the robot has moved; a mere hundredth of a millimetre is noise.
-    turned = [*points.tables[2].joints, 0.0, 0.6, *([0.0] * (len(points.tables[2].joints[0]) - 2))]
+    turned = points.tables[2].joints.copy()
+    turned[:, 1] += 0.6
     copied = replace(good, joints=turned, points=points.tables[2].points + 1e-5)
     (finding,) = points.check(copied, fit=None).findings
     assert (finding.code, finding.values["stop"]) == ("repeated", 3.0)
@@ -222,10 +223,10 @@ def test_after_few_stops_only_what_is_far_off_is_named(points: Known):
 
 def test_a_history_tells_how_large_squares_are():
     assert History().factor == 1.0
-    # Forty numbers whose squares add up to what chance gives once in a thousand times.
-    most = float(chi2.isf(1e-3, 40))
-    assert History(0.99 * most, 40.0).factor == 1.0
-    assert History(1.01 * most, 40.0).factor == pytest.approx(1.01 * most / 40.0)
+    # A mean of forty squares as chance gives it once in a thousand times, over a noise as little known.
+    most = float(f.isf(1e-3, 40, 46))
+    assert History(0.99 * most * 40.0, 40.0).factor == 1.0
+    assert History(1.01 * most * 40.0, 40.0).factor == pytest.approx(1.01 * most)
     assert History(5.0, 40.0).factor == 1.0
 
 
