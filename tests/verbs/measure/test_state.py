@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import least_squares
-import pinocchio as pin
 
 from calib.data.measurements import Measurements
 from calib.verbs.measure.aim import Aim
@@ -95,7 +95,6 @@ def test_the_poses_that_are_needed_are_foretold(ur3, tmp_path):
             least, most = said[number]
             assert 1 <= least <= most
             within.append(least <= len(said) - number <= most)
-    print(f"{np.mean(within):.0%} of {len(within)}")
     assert np.mean(within) >= 0.7
 
 
@@ -204,7 +203,7 @@ def test_lost_motion_that_the_model_lacks_is_named(empty, ur3):
 
 def test_a_gross_reading_that_nobody_could_tell_is_found_later(empty, virtual):
     tables: list[Measurements] = good_readings(virtual, 16)
-    tables[4] = replace(tables[4], points=tables[4].points + [0.0, 3e-3, 0.0])
+    tables[4] = replace(tables[4], points=tables[4].points + np.array([0.0, 3e-3, 0.0]))
     early = with_rows(empty, tables[:5])
     assert early.stops[4].counts
     late = with_rows(early, tables[5:])
