@@ -113,8 +113,7 @@ def relabelled(table: Measurements, number: int, breaks: Sequence[Break]) -> Mea
     stations: dict[str | None, str] = {}
     for k, broken in enumerate(breaks, start=2):
         if number >= broken.stop:
-            targets |= {broken.target: _names(broken, k)[0]}
-            stations |= {broken.station: _names(broken, k)[1]}
+            targets[broken.target], stations[broken.station] = _names(broken, k)
     new_targets = tuple(targets.get(name, name) for name in table.targets)
     new_groups = tuple(stations.get(name, name) for name in table.groups)
     if (new_targets, new_groups) == (table.targets, table.groups):

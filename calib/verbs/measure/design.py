@@ -173,14 +173,16 @@ class Design(Value):
             more = 1.0 / _GROWN if expected(design).high <= _FAR * aim else 1.0
             count = min(len(design) + max(1, int(more * len(design))), most)
             design, _ = exchange(blocks, basis, design, count)
-        while len(design) > 1:
+        is_enough = expected(design).high <= aim
+        while is_enough and len(design) > 1:
             fewer = without_least(blocks, basis, design)
             if expected(fewer).high > aim:
                 fewer, _ = exchange(blocks, basis, fewer)
             if expected(fewer).high > aim:
                 break
             design = fewer
-        design, _ = exchange(blocks, basis, design)
+        if is_enough:
+            design, _ = exchange(blocks, basis, design)
         first = self._first(gains(blocks[design], basis), self.joints[free[design]], last)
         order = [first, *[k for k in range(len(design)) if k != first]]
         return Choice(

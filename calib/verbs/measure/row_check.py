@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
-from scipy.special import chdtrc, fdtri
+from scipy.special import fdtrc, fdtri
 
 from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
@@ -76,9 +76,12 @@ class History(Value):
     @property
     def factor(self) -> float:
         """Mean square of this session's stops if it is more than chance explains, else 1."""
-        if not self.numbers or chdtrc(self.numbers, self.total) > _BY_CHANCE:
+        if not self.numbers:
             return 1.0
-        return self.total / self.numbers
+        # Early squares are over a noise of which as little was known.
+        mean = self.total / self.numbers
+        chance = float(fdtrc(self.numbers, self.numbers + _KNOWN_BEFORE, mean))
+        return 1.0 if chance > _BY_CHANCE else mean
 
     def limit(self, numbers: int) -> float:
         """Return the square, over the factor, above which a stop of so many numbers is not as good as the others."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, f
+from scipy.stats import f
 
 from calib.data.measurements import Measurements
 from calib.robot.robot import Robot
@@ -226,10 +226,10 @@ def test_after_few_stops_only_what_is_far_off_is_named(points: Known):
 
 def test_a_history_tells_how_large_squares_are():
     assert History().factor == 1.0
-    # Forty numbers whose squares add up to what chance gives once in a thousand times.
-    most = float(chi2.isf(1e-3, 40))
-    assert History(0.99 * most, 40.0).factor == 1.0
-    assert History(1.01 * most, 40.0).factor == pytest.approx(1.01 * most / 40.0)
+    # A mean of forty squares as chance gives it once in a thousand times, over a noise as little known.
+    most = float(f.isf(1e-3, 40, 46))
+    assert History(0.99 * most * 40.0, 40.0).factor == 1.0
+    assert History(1.01 * most * 40.0, 40.0).factor == pytest.approx(1.01 * most)
     assert History(5.0, 40.0).factor == 1.0
 
 
