@@ -81,17 +81,39 @@ def calibration_commands(job: Job, looked: Looked) -> tuple[Command, ...]:
         commands.append((*detect, "-o", CORNERS))
         table = CORNERS
     words = ["calibrate", robot, table, *_reading_words(looked)]
-    if looked.images:
-        words += ["--camera", looked.value("camera"), "--board", looked.value("board")]
+    for name in ("camera", "board"):
+        if value := looked.value(name):
+            words += [f"--{name}", value]
     if looked.value("cell"):
         words += ["--cell", looked.value("cell"), *_cell_options(looked)]
     elif cell_text(looked):
         words += ["--cell", CELL]
-    words += ["-o", CORRECTED, "--json", RESULT]
+    return (*commands, (*words, *_output_words()))
+
+
+def session_commands(
+    job: Job, robot: str, arguments: str, table: str, cell: str
+) -> tuple[Command, ...]:
+    """Return the command that calibrates by the files of a session.
+
+    Args:
+        job: The job of the calibration.
+        robot: The robot's file in the job, or its name.
+        arguments: Arguments of a xacro; empty without.
+        table: The stops that count.
+        cell: The session's cell.
+    """
+    if not is_typed(job, robot) and arguments:
+        robot += f" {arguments}"
+    return (("calibrate", robot, table, "--cell", cell, *_output_words()),)
+
+
+def _output_words() -> Iterator[str]:
+    """Yield the options that name what a calibration writes."""
+    yield from ("-o", CORRECTED, "--json", RESULT)
     if find_spec("matplotlib") is not None:
-        words += ["--report", REPORT]
-    words += ["--view", VIEW]
-    return (*commands, tuple(words))
+        yield from ("--report", REPORT)
+    yield from ("--view", VIEW)
 
 
 def _reading_words(looked: Looked) -> Iterator[str]:

@@ -103,7 +103,7 @@ def look_for_session(job: Job) -> Looked:
     except CalibError as error:
         return replace(looked, fault=_told(job, error))
     if stated.cameras or stated.kind not in (None, *_KINDS_OF_SESSIONS):
-        fault = "The page measures points and poses; sessions of other kinds are measured on the command line."
+        fault = "The page measures points and poses; sessions of other kinds are measured by calib measure."
         return replace(looked, fault=fault)
     links = plain(urdf.links)
     has_cell = bool(fields.value("cell"))
@@ -261,14 +261,14 @@ def _look_at_rows(job: Job, looked: Looked, fields: Fields, urdf: Urdf, table: T
     by_image = "image" in names and {*POINT, "u", "v"}.isdisjoint(names)
     images = "u" in names or by_image
     looked = replace(looked, images=images, pictures=pictures if by_image else 0)
-    if images:
-        missing = _image_fields(job, looked, fields)
-        if missing:
-            return replace(looked, missing=missing)
     try:
         stated = _cell_field(job, looked, fields)
     except CalibError as error:
         return replace(looked, fault=_told(job, error))
+    if images and not stated.boards:
+        missing = _image_fields(job, looked, fields)
+        if missing:
+            return replace(looked, missing=missing)
 
     links = plain(urdf.links)
     chain = stated

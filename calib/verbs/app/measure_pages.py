@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from calib.basics.files import write_atomically
+from calib.basics.files import read_bytes, write_atomically
 from calib.basics.units import LENGTH, parse_amount
 from calib.data.cell import Cell
 from calib.data.cell_chains import robot_of_cell
@@ -20,9 +21,9 @@ from calib.errors import CalibError
 from calib.robot.urdf import known_robots, read_urdf
 from calib.show.lines import mm
 from calib.verbs.app.choices import check_no_plugins, choices_of
-from calib.verbs.app.commands import calibration_commands, cell_text
+from calib.verbs.app.commands import cell_text, session_commands
 from calib.verbs.app.desk import title_of
-from calib.verbs.app.guesses import look, look_for_session, named_robot
+from calib.verbs.app.guesses import look_for_session, named_robot
 from calib.verbs.app.job import CELL, Job, Kind
 from calib.verbs.app.site import Site, check_robot_name
 from calib.verbs.app.sitting import SESSION, Sitting, check_devices, is_begun
@@ -45,7 +46,7 @@ from calib.verbs.app.uploads import (
 )
 from calib.verbs.measure.aim import Aim
 from calib.verbs.measure.session import Session
-from calib.verbs.measure.settings import TABLE
+from calib.verbs.measure.settings import CELL as SESSION_CELL, TABLE
 from calib.verbs.measure.state import NextPose
 
 #: Stops that a calibration needs at least.
@@ -57,8 +58,14 @@ _GHOST = {
     "x-frame-options": "SAMEORIGIN",
 }
 
-#: Choices of a session that its calibration gets too.
-_KEPT = ("robot", "robot_name", "xacro", "cell", "target", "noise", "serial", "model")
+#: Choices of a session that its calibration gets too; the session's cell has the others.
+_KEPT = ("robot", "robot_name", "xacro")
+
+#: Name of the session's cell among the inputs of its calibration.
+_CELL = "session-cell.toml"
+
+#: A number as it is typed, its comma a point.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 
 class NotAddedError(CalibError):
@@ -82,6 +89,7 @@ class MeasurePages:
             Route(f"{of_job}/live", self._live),
             Route(f"{of_job}/ghost", self._ghost),
             Route(f"{of_job}/reading", self._reading, methods=["POST"]),
+            Route(f"{of_job}/go", self._go, methods=["POST"]),
             Route(f"{of_job}/undo", self._undo, methods=["POST"]),
             Route(f"{of_job}/skip", self._skip, methods=["POST"]),
             Route(f"{of_job}/note", self._note, methods=["POST"]),
@@ -241,7 +249,6 @@ class MeasurePages:
         }
         is_placed = state.error is not None or not session.cell.estimate_frame
         job = Job.read(sitting.folder)
-        targets = pose.targets if pose is not None else ()
         return {
             "live": version,
             "paused": sitting.is_paused,
@@ -256,7 +263,8 @@ class MeasurePages:
             "advice": list(advice_texts(state, t)),
             "stops": list(stop_lines(stops, t)),
             "notes": [note for note in session.notes if note not in ("pause", "resume")],
-            "targets": tuple(dict.fromkeys(targets)) or ("target",),
+            "targets": sitting.targets,
+            "asks": sitting.asks,
             "headers": sitting.headers,
             "reader": job.choices.get("reader", ""),
         }
@@ -313,8 +321,8 @@ class MeasurePages:
                     raise NotAddedError(t("reading_pose_changed"))
                 if sitting.is_paused:
                     raise NotAddedError(t("paused"))
-                columns = _columns(form, sitting, lambda text: t("reading_numbers", text=text))
-                sitting.add(columns, key)
+                rows = _typed_rows(form, sitting, lambda text: t("reading_numbers", text=text))
+                sitting.add(rows, form.get("joints", "").strip(), key)
 
             sitting.once(key, act)
 
@@ -340,6 +348,10 @@ class MeasurePages:
 
         await run_in_threadpool(run)
         return self._site.to(job)
+
+    async def _go(self, request: Request) -> Response:
+        """Let an instrument measure that waits for a word."""
+        return await self._act(request, lambda sitting, _: sitting.go())
 
     async def _undo(self, request: Request) -> Response:
         """Take the last stop back."""
@@ -383,39 +395,29 @@ class MeasurePages:
             session = self._sitting(job).session
             if session.state.stops < _FEWEST:
                 return None
-            made = self._calibration(job, session, form.get("key", ""))
-            if made.commands:
-                return made
-            looked = look(made)
-            if not looked.is_ready:  # its page says why
-                return made
-            if not looked.value("cell"):
-                write_atomically(made.folder / CELL, cell_text(looked).encode(), overwrite=True)
-            return self._site.runs.start(made, calibration_commands(made, looked))
+            made = self._calibration(job, form.get("key", ""))
+            looked = look_for_session(job)
+            robot = looked.value("robot_name") or looked.value("robot")
+            commands = session_commands(made, robot, looked.value("xacro"), TABLE, _CELL)
+            return self._site.runs.start(made, commands)
 
         made = await run_in_threadpool(finish)
         if made is None:
             return await self._show(request, job, said=t("session_needs_more"))
         return self._site.to(made)
 
-    def _calibration(self, job: Job, session: Session, key: str) -> Job:
-        """Make the job that calibrates by a session's table, with its robot and cell."""
-        desk = self._site.desk
-        cell = session.cell
+    def _calibration(self, job: Job, key: str) -> Job:
+        """Make the job that calibrates by a session's files: its robot, its table and its cell."""
+        desk, folder_of_session = self._site.desk, job.folder / SESSION
         choices = {name: value for name, value in job.choices.items() if name in _KEPT}
-        choices |= {
-            "table": TABLE,
-            "base": session.robot.base,
-            "tip": session.robot.tip,
-            "frame": "estimate" if cell.estimate_frame else "known",
-            "instrument": cell.instrument or "",
-        }
+        choices |= {"table": TABLE, "cell": _CELL}
         with incoming(desk.folder) as folder:
-            names = [name for name in job.inputs if (job.folder / name).is_file()]
-            for name in names:
-                (folder / name).write_bytes((job.folder / name).read_bytes())
-            (folder / TABLE).write_bytes((job.folder / SESSION / TABLE).read_bytes())
-            received = Received(folder, {}, (*names, TABLE))
+            robots = [name for name in job.inputs if not name.lower().endswith(".toml")]
+            files = {name: job.folder / name for name in robots}
+            files |= {TABLE: folder_of_session / TABLE, _CELL: folder_of_session / SESSION_CELL}
+            for name, path in files.items():
+                (folder / name).write_bytes(read_bytes(path, "The file"))
+            received = Received(folder, {}, tuple(files))
             return desk.make(Kind.CALIBRATE, job.name.partition("-")[2], key, received, choices)
 
 
@@ -427,39 +429,20 @@ def _pose_id(session: Session, pose: NextPose | None) -> str:
     return hashlib.sha256(data.encode()).hexdigest()[:16]
 
 
-def _columns(
+def _typed_rows(
     form: Mapping[str, str], sitting: Sitting, fault: Callable[[str], str]
-) -> dict[str, Any]:
-    """Return what was typed as columns, with joint values if they were typed too; NotAddedError for what is none."""
-
-    def decimal(text: str) -> float:
-        """Return a number with a decimal point or comma."""
-        try:
-            return float(text.strip().replace(",", "."))
-        except ValueError as error:
-            raise NotAddedError(fault(text)) from error
-
-    rows: dict[str, dict[str, float]] = {}
-    for name, text in form.items():
-        kind, _, rest = name.partition(":")
-        target, _, header = rest.rpartition(":")
-        if kind == "value" and header in sitting.headers and text.strip():
-            rows.setdefault(target, {})[header] = decimal(text)
-    for row in rows.values():
-        if len(row) != len(sitting.headers):
-            raise NotAddedError(fault(""))
+) -> list[tuple[str, list[str]]]:
+    """Return what was typed of each target, with decimal points; NotAddedError for what is no number, or lacks."""
+    rows = []
+    for target in sitting.targets:
+        texts = [form.get(f"value:{target}:{header}", "").strip() for header in sitting.headers]
+        if not any(texts):
+            continue
+        values = [text.replace(",", ".") for text in texts]
+        for text, value in zip(texts, values, strict=True):
+            if not _NUMBER.fullmatch(value):
+                raise NotAddedError(fault(text))
+        rows.append((target, values))
     if not rows:
         raise NotAddedError(fault(""))
-    columns: dict[str, Any] = {
-        header: [row[header] for row in rows.values()] for header in sitting.headers
-    }
-    if len(rows) > 1 or len(sitting.session.cell.targets) > 1:
-        columns["target"] = list(rows)
-    if typed := form.get("joints", "").split():
-        robot = sitting.session.robot
-        if len(typed) != len(robot.joint_names):
-            raise NotAddedError(fault(" ".join(typed)))
-        for name, text in zip(robot.joint_names, typed, strict=True):
-            header = f"{name} [{'mm' if robot.joint_types[name] == 'prismatic' else 'deg'}]"
-            columns[header] = [decimal(text)] * len(rows)
-    return columns
+    return rows

@@ -7,24 +7,19 @@ reading is added at the pose that is proposed, or at that of the robot if one is
 
 from __future__ import annotations
 
-import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from calib.data.kinds import get as kind_of
-from calib.errors import CalibError
+from calib.errors import CalibError, MeasurementError
 from calib.verbs.app.job import Job
-from calib.verbs.measure.devices.controllers import (
-    CONTROLLERS,
-    JointSource,
-    joints_at_rest,
-    open_controller,
-)
-from calib.verbs.measure.devices.readers import READERS, Instrument, open_reader
-from calib.verbs.measure.devices.reading import Context, Reading
+from calib.verbs.measure.devices.controllers import CONTROLLERS
+from calib.verbs.measure.devices.readers import READERS
 from calib.verbs.measure.session import Session
+from calib.verbs.measure.state import NextPose
+from calib.verbs.measure.station import TYPED, Station
 from calib.verbs.measure.stop import Answer
 
 #: Folder of the session in that of its job.
@@ -33,11 +28,11 @@ SESSION = "session"
 #: Hidden files: keys of forms, and the mark of a pause.
 _KEYS, _PAUSE = ".keys", ".paused"
 
-#: Time for which an instrument is waited for at once [s], so that it can be given back soon.
-_WAIT = 0.5
+#: Time for which an instrument is waited for at once, and between two times, when others have their turn [s].
+_WAIT, _BETWEEN = 0.2, 0.02
 
-#: Time that a robot has to stand still when a reading comes [s].
-_STILL = 5.0
+#: Longest time that an instrument has to give way at the end [s].
+_LONGEST = 10.0
 
 
 class Sitting:
@@ -57,46 +52,27 @@ class Sitting:
         self.fault, self._heard = "", 0
         self._ends = threading.Event()
         self._lock = threading.RLock()
-        self._controller: JointSource | None = None
-        self._reader: Instrument | None = None
-        context = self._context()
-        if controller:
-            self._controller = open_controller(controller, context)
-        try:
-            if reader:
-                self._reader = open_reader(reader, context)
-        except CalibError:
-            self._close_devices()
-            raise
+        self._station = Station(session, reader or TYPED, controller)
         self._thread: threading.Thread | None = None
-        if self._reader is not None:
+        if self._station.has_instrument:
             self._thread = threading.Thread(target=self._listen, daemon=True)
             self._thread.start()
 
-    def _context(self) -> Context:
-        """Return what devices need to know of the session."""
-        robot, cell = self.session.robot, self.session.cell
-        return Context(
-            joint_names=robot.joint_names,
-            joint_types=robot.joint_types,
-            kind=cell.kind,
-            targets=tuple(cell.targets),
-            # Lines of three numbers are read as a list of points, which may have names too.
-            columns=() if cell.kind in (None, "point") else self.headers,
-            points_unit="mm",
-            folder=self.session.folder,
-        )
-
     @property
     def headers(self) -> tuple[str, ...]:
-        """Headers of what is read of one target, with the units in which people read it."""
-        kind = kind_of(self.session.cell.kind or "point")
-        headers = ["x [mm]", "y [mm]", "z [mm]"] if kind.position else []
-        if kind.orientation:
-            headers += ["rx [deg]", "ry [deg]", "rz [deg]"]
-        units = {"length": "mm", "angle": "deg"}
-        headers += [f"{one.name} [{units[str(one.quantity)]}]" for one in kind.readings]
-        return tuple(headers)
+        """Headers of what is typed of one target, with the units in which people read it; none of pictures."""
+        is_image = kind_of(self.session.cell.kind or "point").is_image
+        return () if is_image else self._station.headers
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets that are measured at each pose."""
+        return tuple(dict.fromkeys(target for _, target in self.session.sights))
+
+    @property
+    def asks(self) -> bool:
+        """True if the instrument measures when it is asked, as a camera."""
+        return self._station.is_asked
 
     @property
     def is_paused(self) -> bool:
@@ -130,66 +106,66 @@ class Sitting:
         else:
             (self.folder / _PAUSE).unlink(missing_ok=True)
 
-    def add(self, columns: dict[str, Any], key: str) -> Answer:
-        """Add what was read, at the pose that is proposed or where the robot stands; raises `CalibError`.
+    def add(self, rows: Sequence[tuple[str, Sequence[str]]], joints: str, key: str) -> Answer:
+        """Add what was typed, at the pose that is proposed or where the robot stands; raises `CalibError`.
 
         Args:
-            columns: Values by their headers, a list for several targets.
+            rows: Of each target its name, empty for the only one, and its values in the order of `headers`.
+            joints: Joint values where the robot stands, as typed; empty: as proposed, or as the robot says.
             key: Names the reading; the same one is added once.
         """
         with self._lock:
-            names = self.session.robot.joint_names
-            typed = any(header.split(" [")[0] in names for header in columns)
-            if self._controller is not None and not typed:
-                q = joints_at_rest(self._controller, _STILL)
-                if q is None:
-                    raise CalibError(
-                        "The robot moves: wait until it stands still, and send the reading again."
-                    )
-                count = max(len(v) if isinstance(v, list) else 1 for v in columns.values())
-                context = self._context()
-                at = dict(zip(context.joint_headers, q.tolist(), strict=True))
-                columns = {**{name: [value] * count for name, value in at.items()}, **columns}
-            return self.session.add(columns, key=key)
+            station = self._station
+            station.propose()
+            if joints:
+                station.stands_at(joints)
+            named = ["target"] if len(self.targets) > 1 else []
+            station.enter(";".join([*named, *station.headers]))
+            row = None
+            for target, values in rows:
+                station.enter(";".join([target, *values] if named else values))
+                row = station.read(0.0)
+            row = row or station.enough()
+            if row is None:
+                raise MeasurementError("Nothing was typed that is a reading.")
+            answer = self.session.add(row, key=key)
+            station.added()
+            return answer
+
+    def go(self) -> None:
+        """Say that the robot stands at the pose, so that an instrument that waits for that is asked."""
+        self._station.go()
 
     def _listen(self) -> None:
         """Read the instrument until the sitting ends; what is wrong is shown on the page."""
-        assert self._reader is not None
-        while not self._ends.is_set():
+        proposed: NextPose | None = None
+        while not self._ends.wait(_BETWEEN):
+            if self.is_paused:
+                continue
             try:
-                reading = self._reader.read(_WAIT)
-                if reading is None or self.is_paused:
-                    continue
-                self._take(reading)
+                with self._lock:
+                    pose = self.session.next()
+                    if pose is None:
+                        continue
+                    if pose is not proposed:
+                        proposed = self._station.propose()
+                    row = self._station.read(_WAIT)
+                    if row is None:
+                        continue
+                    self.session.add(row)
+                    self._station.added()
                 self.fault = ""
             except CalibError as error:
                 self.fault = str(error)
             self._heard += 1
 
-    def _take(self, reading: Reading) -> None:
-        """Add a reading of the instrument; CalibError if it does not fit."""
-        if reading.pictures:
-            raise CalibError(
-                "The instrument gave pictures, which this page does not take yet: measure with calib measure."
-            )
-        headers = dict.fromkeys(header for row in reading.rows for header in row)
-        columns = {header: [row.get(header, "") for row in reading.rows] for header in headers}
-        self.add({name: values for name, values in columns.items() if name != "point"}, "")
-
     def close(self) -> None:
         """End the sitting: devices are given back, and the folder is free for another process."""
         self._ends.set()
         if self._thread is not None:
-            self._thread.join(2.0 + _WAIT)
-        self._close_devices()
+            self._thread.join(_LONGEST)
+        self._station.close()
         self.session.close()
-
-    def _close_devices(self) -> None:
-        """Give instrument and robot back."""
-        for device in (self._reader, self._controller):
-            if device is not None:
-                with contextlib.suppress(CalibError, OSError):
-                    device.close()
 
 
 class Sittings:
