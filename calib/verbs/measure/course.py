@@ -426,7 +426,10 @@ class Course:
         """Return the cell with what has moved, as far as it occurs in some readings."""
         occurring = {name for table in tables for name in (*table.targets, *table.groups)}
         rotation = self.design.sensitivity.setup.rotation
-        return cell_after(self.cell, self.breaks, occurring, rotation=rotation)
+        cell = cell_after(self.cell, self.breaks, occurring, rotation=rotation)
+        # A target that was not measured yet is none of the fit.
+        seen = {name: place for name, place in cell.targets.items() if name in occurring}
+        return replace(cell, targets=seen) if seen else cell
 
     def refitted(self) -> Course:
         """Return the course with the fit to the stops that count.

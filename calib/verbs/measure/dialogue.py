@@ -187,7 +187,7 @@ class Dialogue:
         """Add a row and say the answer; None if the session does not take it."""
         try:
             answer = self._session.add(row)
-        except MeasurementError as error:
+        except CalibError as error:
             self._say_fault(error)
             return None
         self._station.added()

@@ -291,7 +291,8 @@ class Station:
                 self._collect(stop, reading)
                 if not self.missing:
                     return self._row(stop)
-            if deadline is not None and time.monotonic() >= deadline:
+            is_over = deadline is not None and time.monotonic() >= deadline
+            if is_over and not self._ready:
                 return None
 
     def enough(self) -> Row | None:

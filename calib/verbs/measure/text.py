@@ -95,7 +95,9 @@ def pose_lines(session: Session, pose: NextPose, state: State) -> Iterator[Line]
     yield "", ""
     yield _title(session, pose, state), LARGE
     yield from _joint_lines(session.robot, pose)
-    known = state.error is not None or not session.cell.estimate_frame
+    # After something has moved, the places are those of before.
+    has_moved = any(finding.code.endswith("_moved") for finding in state.findings)
+    known = (state.error is not None or not session.cell.estimate_frame) and not has_moved
     frame = "the instrument's frame" if session.cell.estimate_frame else "the measurement frame"
     names = pose.targets if len(set(pose.targets)) > 1 else [""] * len(pose.targets)
     for name, place in zip(names, pose.expected.tolist(), strict=False):
@@ -313,7 +315,10 @@ def state_lines(robot: Robot, state: State) -> Iterator[Line]:
     if state.sigma:
         yield f"Noise of one reading: {_sizes(state.sigma)}.", ""
     for finding in state.findings:
-        yield fill(finding_text(robot, finding)), LOOK
+        text = finding_text(robot, finding)
+        if finding.code == "gross":
+            text = f"Stop {row_ranges(finding.stops)} does not fit the others by now; it has little weight."
+        yield fill(text), LOOK
     for advice in state.advice:
         yield fill(advice_text(advice)), ""
 

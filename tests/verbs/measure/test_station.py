@@ -16,6 +16,7 @@ from calib.errors import CalibError, DeviceError, MeasurementError
 from calib.robot.robot import Robot
 from calib.verbs.measure.devices.readers import READERS, Reader
 from calib.verbs.measure.devices.reading import Reading
+from calib.verbs.measure.session import Session
 from calib.verbs.measure.station import Station
 from calib.verbs.simulate.scenario import Scenario
 from calib.verbs.simulate.virtual_session import known_cell
@@ -137,6 +138,29 @@ def test_a_target_that_cannot_be_seen_is_left_out(two):
         assert station.read(0.0) is None
         row = station.enough()
         assert row.readings.targets == ("A",)
+        assert two.add(row).stop == 1
+        station.added()
+        station.propose()
+        station.enter("512 13 14")
+        station.enter("700 13 14")
+        assert two.add(station.read(0.0)).stop == 2
+
+
+def test_a_row_that_the_fit_refuses_is_not_kept_and_the_session_goes_on(ur3, tmp_path):
+    one = replace(CELL, targets={"A": np.full(3, 0.05)})
+    header, row = "x [mm],y [mm],z [mm],target", "812,13,14,{}"
+    with session_of(ur3, tmp_path / "one", one) as session, Station(session) as station:
+        for name in "BA":
+            station.propose()
+            station.enter(header)
+            station.enter(row.format(name))
+            if name == "B":
+                with pytest.raises(CalibError, match="the cell says where 'A' is"):
+                    session.add(station.read(0.0))
+                assert session.events == ()
+        session.add(station.read(0.0))
+    with Session.open(tmp_path / "one") as session:
+        assert len(session.stops) == 1
 
 
 def test_readings_of_earlier_poses_are_left_out(session, tmp_path, ur3):

@@ -142,6 +142,8 @@ def test_the_state():
     for word in ("7 stops of 8", "0.250 mm, from 0.180 mm to 0.320", "2.10 mm", "Noise", "0.040"):
         assert word in text
     assert joined(state_lines(None, REACHED)).count("reached") == 1
+    far_off = replace(STATE, findings=(Finding("gross", (2,)),))
+    assert "Stop 2 does not fit the others" in joined(state_lines(None, far_off))
 
 
 def test_a_pose_is_shown_in_degrees_under_its_title(session):
@@ -167,6 +169,8 @@ def test_a_pose_that_is_measured_again_names_its_stop(session):
 def test_where_the_target_will_be_is_said_once_the_frame_is_known(session):
     pose = replace(session.next(), expected=np.array([[0.8123, 0.0051, -0.4209]]))
     assert "near (812.3, 5.1, -420.9) mm" in joined(pose_lines(session, pose, STATE))
+    moved = replace(STATE, findings=(Finding("base_moved", (5, 6)),))
+    assert "near" not in joined(pose_lines(session, pose, moved))
 
 
 def test_a_session_begins_with_its_aim(session):
