@@ -165,11 +165,12 @@ def _needed(course: Course) -> tuple[int, int] | None:
 
 
 def _open_findings(course: Course) -> Iterator[Finding]:
-    """Yield what has moved, and the stops that are far off by now."""
+    """Yield what has moved, and the stops that are far off by now, though they were accepted."""
     for broken in course.breaks:
         since = tuple(stop.number for stop in course.counted if stop.number >= broken.stop)
         yield Finding(broken.code, since, name=broken.target or broken.station or "")
-    for number in course.outliers:
+    later = [s.number for s in course.stops if not s.counts and s.answer.outcome != "again"]
+    for number in sorted({*later, *course.outliers}):
         yield Finding("gross", (number,))
 
 
