@@ -25,9 +25,11 @@ from calib.cli.verb import Verb
 #: of the folder ``base_frame``. The docstring of a verb's package is what it does in one line.
 VERBS = (
     "demo",
+    "app",
     "inspect",
     "workspace",
     "plan",
+    "measure",
     "simulate",
     "board",
     "detect",
@@ -59,7 +61,6 @@ _MEANT = {
     "export": "convert",
     "identify": "calibrate",
     "info": "inspect",
-    "measure": "plan",
     "poses": "plan",
     "show": "view",
     "test": "evaluate",

@@ -13,7 +13,11 @@ random take, by fits of measurements that are simulated. A session is early if t
 by the poses after the one with which the aim was met, by the forecast of the session's own poses with the true noise.
 
 With --mistakes the operator makes some, at one reading in six. One is named at its row if the session asks to measure
-again, or finds the mistake that it is. Files are resumed: sessions that are there are not run again.
+again, or finds the mistake that it is. Early ones cannot be told: what is expected is not known well enough yet. A
+mistake of points or poses can be told if a test that knows the noise and the size of the robot's errors, and that all
+readings before are right, would notice it with a probability of 95 %, with one false alarm in a thousand.
+
+Files are resumed: sessions that are there are not run again.
 """
 
 from __future__ import annotations
@@ -28,6 +32,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, ncx2
 from studies import print_table, process_pool, show_progress, study_parser
 
 from calib.basics.arrays import Array
@@ -58,6 +64,7 @@ from calib.verbs.simulate.operator import (
     SWAPPED,
     TARGET_MOVED,
     USUAL_MISTAKES,
+    Measurement,
     Operator,
 )
 from calib.verbs.simulate.scenario import Scenario, VirtualCell
@@ -98,7 +105,10 @@ TRIALS, MOST_RANDOM = {True: 8, False: 16}, 400
 GRAIN = 0.04
 
 #: The most stops of a session.
-MOST_STOPS = 120
+MOST_STOPS = 80
+
+#: A mistake can be told if it is noticed with this probability, with so many false alarms.
+POWER, ALARM = 0.95, 1e-3
 
 #: A session is late if it goes on for so many poses.
 LATE = 3
@@ -169,6 +179,31 @@ class Setting:
     def limit(self, q: Array) -> float:
         """Forecast the error below which 95 % of calibrations by poses (N, m) are, with the true noise [m]."""
         return Forecast.of(self.sensitivity, self.workspace, q).rms_high
+
+    def power(self, measurement: Measurement, known: Array) -> tuple[float | None, Array]:
+        """Return the probability with which what is off in a reading can be noticed, and what is known after it.
+
+        Args:
+            measurement: The reading, of a position or a pose; of a picture the probability is None.
+            known: Information of the right readings before it, and of the priors, shape (p, p).
+
+        Returns:
+            The probability, and the information, to which a reading adds that has no mistake of its own.
+        """
+        if self.virtual.equipment is not None:
+            return None, known
+        A = self.sensitivity.measured(measurement.joints[None])[0]
+        (T,), rows = measurement.T_frame_target, measurement.readings
+        off = (rows.points[0] - T[:3, 3]) / self.sensitivity.noise(measurement.joints[None])
+        if rows.rotations is not None:
+            turn = Rotation.from_matrix(rows.rotations[0] @ T[:3, :3].T).as_rotvec()
+            off = np.concatenate([off, turn / ANGLE])
+        S = np.eye(len(off)) + A @ np.linalg.solve(known, A.T)
+        limit = chi2.isf(ALARM, len(off))
+        power = float(ncx2.sf(limit, len(off), off @ np.linalg.solve(S, off)))
+        mistakes = [one for one in measurement.mistakes if one.since == measurement.number]
+        is_right = not mistakes and not any(one.code == MISSED for one in measurement.mistakes)
+        return power, known + A.T @ A if is_right else known
 
     def random_forecast(self, count: int) -> float:
         """Forecast the error below which 95 % of calibrations by so many poses at random are [m]."""
@@ -297,8 +332,10 @@ def measured(
     )
     with session:
         start = time.perf_counter() - began
+        known = np.diag(setting.sensitivity.precision)
         for stop in measure_with(session, operator, MOST_STOPS):
             mistake = stop.measurement.mistake
+            power, known = setting.power(stop.measurement, known)
             rows.append(
                 {
                     "number": stop.measurement.number,
@@ -306,6 +343,9 @@ def measured(
                     "outcome": stop.answer.outcome,
                     "found": found_table(stop.answer.findings),
                     "mistake": mistake and asdict(mistake),
+                    "power": power,
+                    "residual": dict(stop.answer.residual),
+                    "usual": dict(stop.answer.usual),
                     "high_m": stop.high,
                     "next_seconds": stop.seconds[0],
                     "add_seconds": stop.seconds[1],
@@ -447,9 +487,11 @@ def mistake_rows(sessions: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
                 share(one.named for one in group),
                 share(one.right for one in group),
                 share(one.ever for one in group),
+                sum(one.told for one in group),
+                share(one.named for one in group if one.told),
             ]
     fine = [one for one in judged if not one.code]
-    yield ["none (false alarms)", len(fine), share(one.named for one in fine), "", ""]
+    yield ["none (false alarms)", len(fine), share(one.named for one in fine), "", "", "", ""]
 
 
 @dataclass(frozen=True)
@@ -462,17 +504,18 @@ class Judgement:
     )
     right: bool  # It found the mistake that it is
     ever: bool  # It was named there, or found later
+    told: bool = False  # It can be told
 
 
 def judgements(session: Mapping[str, Any]) -> Iterator[Judgement]:
-    """Yield what a session said at each reading; those after something was knocked are left out."""
+    """Yield what a session said at each reading; those after something was knocked, or a stop missed, are left out."""
     for k, row in enumerate(session["rows"]):
         mistake = row["mistake"]
         found = {finding["code"] for finding in row["found"] if row["stop"] in finding["stops"]}
         code = mistake["code"] if mistake else ""
         is_knock = code in (TARGET_MOVED, BASE_MOVED)
-        if is_knock and mistake["since"] < row["number"]:
-            continue  # it was knocked before
+        if (is_knock or code == MISSED) and mistake["since"] < row["number"]:
+            continue  # that was before
         if not code:
             alarm = row["outcome"] == "again" or bool(found)
             yield Judgement("", alarm, right=False, ever=alarm)
@@ -485,7 +528,7 @@ def judgements(session: Mapping[str, Any]) -> Iterator[Judgement]:
             finding["code"] in NAMES[code] and (is_knock or row["stop"] in finding["stops"])
             for finding in later
         )
-        yield Judgement(code, named, right, ever)
+        yield Judgement(code, named, right, ever, (row["power"] or 0.0) >= POWER)
 
 
 def share(flags: Iterable[Any]) -> str:
@@ -530,7 +573,15 @@ def print_tables(path: Path) -> None:
     if any(session["mistakes"] for session in sessions):
         print()
         print_table(
-            ("mistake", "readings", "named at its row", "by its name", "there or later"),
+            (
+                "mistake",
+                "readings",
+                "named at its row",
+                "by its name",
+                "there or later",
+                "can be told",
+                "of these named at its row",
+            ),
             mistake_rows(sessions),
         )
 

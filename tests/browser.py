@@ -165,9 +165,11 @@ class Browser:
         # Away from 3 and 4, which they become.
         ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 16) for end in (theirs_in, theirs_out)]
         command = [sys.executable, "-ISc", _START, *map(str, ends), CHROMIUM, *FLAGS]
-        quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
         command += [f"--user-data-dir={self._profile.name}", "about:blank"]
-        self.process = subprocess.Popen(command, **quiet, pass_fds=ends)
+        null = subprocess.DEVNULL
+        self.process = subprocess.Popen(
+            command, stdin=null, stdout=null, stderr=null, pass_fds=ends
+        )
         for end in (theirs_in, theirs_out, *ends):
             os.close(end)
         self._rest, self._last = b"", 0

@@ -84,7 +84,7 @@ def test_every_page_stands_in_one_list_of_contents():
 def test_the_cards_lead_to_pages_with_a_command_on_the_first_screen():
     index = (DOCS / "index.rst").read_text(encoding="utf-8")
     cards = re.findall(r"grid-item-card:: .+\n +:link: ([\w-]+)\n", index)
-    assert len(cards) == 9
+    assert len(cards) == 10
     for card in cards:
         lines = (DOCS / f"{card}.md").read_text(encoding="utf-8").splitlines()
         first = next(n for n, line in enumerate(lines) if re.match(r"(calib|make|pip) \w", line))
@@ -258,6 +258,7 @@ HERE = (
     "workspace.md",
     "view.md",
     "dh-rows.md",
+    "sessions.md",
 )
 
 #: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.

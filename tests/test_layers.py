@@ -37,6 +37,7 @@ CORE = (
 
 #: The verbs, each with those that it may use. All use the core, and the core knows no verb.
 VERBS: dict[str, set[str]] = {
+    "app": {"history", "inspect", "measure", "view"},
     "bag": set(),
     "base_frame": set(),
     "board": set(),
@@ -53,7 +54,7 @@ VERBS: dict[str, set[str]] = {
     "history": set(),
     "inspect": {"compensate", "plan"},
     "joints": {"compensate"},
-    "measure": set(),
+    "measure": {"calibrate", "compensate", "detect", "plan", "workspace"},
     "plan": {"compensate", "view", "workspace"},
     "simulate": {"measure", "plan"},
     "view": {"evaluate"},

@@ -24,6 +24,7 @@ CALIB = Path(calib.__file__).parent
 NAMES = [
     "Acceptance",
     "Again",
+    "Aim",
     "Board",
     "CalibError",
     "Calibration",
@@ -44,7 +45,9 @@ NAMES = [
     "Region",
     "Robot",
     "RobotTrend",
+    "Row",
     "Scenario",
+    "Session",
     "TrackerNoise",
     "acceptance",
     "again",
@@ -120,7 +123,8 @@ def test_the_functions_are_the_verbs_of_the_command_line():
     verbs = {name.replace("-", "_") for name in get_command(app).commands}
     functions = {name for name in NAMES if name.islower()}
     further = {"acceptance", "again", "bootstrap", "check_poses", "further_poses", "trend"}
-    assert verbs - {"demo", "fit", "board"} == functions - further
+    # A session is an object, `calib.Session`.
+    assert verbs - {"app", "demo", "fit", "board", "measure"} == functions - further
 
 
 def test_every_registry_has_a_module_with_register():

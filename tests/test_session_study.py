@@ -15,6 +15,8 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 import session_study as study
 
+from calib.verbs.simulate.operator import GROSS, Mistakes, Operator
+
 
 @pytest.fixture(scope="module")
 def setting():
@@ -58,6 +60,22 @@ def test_every_other_camera_is_on_the_hand():
     assert links == ["base", "tool0"]
 
 
+def test_what_can_be_told_grows_with_what_is_known(setting):
+    """Of a robot with wrong zeros alone little is known at first, and everything after ten poses."""
+    q = setting.virtual.poses(12, 1)
+    operator = Operator.of(setting.virtual, 1, Mistakes(at={2: GROSS, 12: GROSS}))
+    known = np.diag(setting.sensitivity.precision)
+    powers = []
+    for pose in q:
+        before = known
+        power, known = setting.power(operator.measure(pose), known)
+        powers.append(power)
+        assert np.all(np.diag(known) >= np.diag(before))
+        assert np.array_equal(known, before) == (len(powers) in (2, 12))
+    assert max(powers[:11]) < 0.2
+    assert powers[11] > 0.95
+
+
 def row(number: int, outcome: str = "good", found: str = "", wrong: str = "", since: int = 0):
     """A reading of a session in a file."""
     return {
@@ -66,6 +84,7 @@ def row(number: int, outcome: str = "good", found: str = "", wrong: str = "", si
         "outcome": outcome,
         "found": [{"code": found, "stops": [number]}] if found else [],
         "mistake": {"code": wrong, "since": since or number} if wrong else None,
+        "power": 1.0 if wrong in ("gross", "not_there") else None,
     }
 
 
@@ -79,6 +98,7 @@ def test_what_counts_as_named():
         row(6, found="something_moved", wrong="target_moved"),
         row(7, wrong="target_moved", since=6),
         row(8, "again", "repeated", "missed"),
+        row(9, wrong="missed", since=8),
     ]
     judged = [(j.code, j.named, j.right) for j in study.judgements({"rows": rows})]
     assert judged == [
@@ -91,8 +111,8 @@ def test_what_counts_as_named():
         ("missed", True, True),
     ]
     table = {line[0]: line[1:] for line in study.mistake_rows([{"rows": rows}])}
-    assert table["gross"] == [1, "100.0 %", "100.0 %", "100.0 %"]
-    assert table["all"] == [5, "80.0 %", "60.0 %", "80.0 %"]
+    assert table["gross"] == [1, "100.0 %", "100.0 %", "100.0 %", 1, "100.0 %"]
+    assert table["all"] == [5, "80.0 %", "60.0 %", "80.0 %", 2, "50.0 %"]
     assert table["none (false alarms)"][:2] == [2, "50.0 %"]
 
 

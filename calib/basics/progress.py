@@ -49,6 +49,11 @@ def watching(watcher: Watcher | None) -> Iterator[None]:
         _WATCHER.reset(before)
 
 
+def is_watched() -> bool:
+    """Return True if somebody watches."""
+    return _WATCHER.get() is not None
+
+
 def begin(stage: Stage) -> None:
     """Say that a stage begins."""
     _say(stage, "", 0, 0)

@@ -9,9 +9,9 @@ gives it:
         position: Array = key("xyz_mm", POINT_MM, "Centre of rotation of the beam.")
         farthest: float = key("farthest_mm", MM, "Largest distance that it measures.", default=80.0)
 
-Everything else is made from the fields: `read_values` and `read_record` read tables of TOML and JSON, `toml_lines`
-writes them, `keep_checked` is the body of ``__post_init__``, `options` and `changes` serve the command line, and
-`key_rows` the tables of the documentation. So a new key is a new field, and nothing else.
+Everything else is made from the fields: `read_values` and `read_record` read tables of TOML and JSON, `toml_lines` and
+`given_values` write them, `keep_checked` is the body of ``__post_init__``, `options` and `changes` serve the command
+line, and `key_rows` the tables of the documentation. So a new key is a new field, and nothing else.
 
 A field may have several keys, which a registry may name (`keys`: one prior for each family), and two fields may share
 a key.
@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import dataclasses
 import json as json_text
+import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, replace
@@ -49,6 +50,9 @@ Label = TypeVar("Label")
 
 #: Name of the entry in the metadata of a field.
 _METADATA = "calib"
+
+#: A key that TOML takes without quotes.
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 # Fields with their keys and options
@@ -102,6 +106,8 @@ class Key:
     part: str = ""
     #: True if a table must have it.
     needed: bool = False
+    #: From the record to what the file holds, of a key that gives several fields; None: it gives one.
+    of_record: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +121,8 @@ class _Written:
     check: Check | None
     each: Check | None = None
     json: str = ""
+    #: From the value to the entries of a file by their keys, if there are several; None: it cannot be written.
+    write: Callable[[Any], Mapping[str, Any]] | None = None
 
 
 def key(
@@ -129,6 +137,7 @@ def key(
     check: Check | None = None,
     each: Check | None = None,
     json: str = "",
+    of_record: Callable[[Any], Any] | None = None,
 ) -> Any:  # noqa: ANN401  a field
     """Return a field of a record that one key gives.
 
@@ -143,9 +152,10 @@ def key(
         check: Check of the value in memory, in place of that of its type; None: that of its type.
         each: Check of each entry of a mapping or a tuple in memory; None: that of its type alone.
         json: Key of the value in SI units in result files; empty: the name of the field.
+        of_record: Gives what a file holds from the record, if two fields share the key; said at the first of them.
     """
     options = (option,) if isinstance(option, Option) else tuple(option)
-    single = Key(name, form, help, absent, options)
+    single = Key(name, form, help, absent, options, of_record=of_record)
     metadata = {_METADATA: _Written(lambda: (single,), None, check, each, json)}
     return dataclasses.field(default=default, default_factory=default_factory, metadata=metadata)
 
@@ -157,6 +167,7 @@ def keys(
     default: Any = MISSING,  # noqa: ANN401
     default_factory: Any = MISSING,  # noqa: ANN401
     check: Check | None = None,
+    write: Callable[[Any], Mapping[str, Any]] | None = None,
 ) -> Any:  # noqa: ANN401  a field
     """Return a field of a record that several keys give.
 
@@ -166,8 +177,9 @@ def keys(
         default: Default in memory, and so on as of `key`.
         default_factory: Makes the default.
         check: Check of the value in memory; None: that of its type.
+        write: Gives the entries of a file by their keys from the value, see `written_parts`; None: it is not written.
     """
-    metadata = {_METADATA: _Written(make, join, check)}
+    metadata = {_METADATA: _Written(make, join, check, write=write)}
     return dataclasses.field(default=default, default_factory=default_factory, metadata=metadata)
 
 
@@ -177,7 +189,7 @@ def embedded(kind: type, *, default_factory: Any = MISSING) -> Any:  # noqa: ANN
     def make() -> Sequence[Key]:
         return [replace(row, part=field.name) for field, row in keys_of(kind)]
 
-    return keys(make, kind, default_factory=default_factory)
+    return keys(make, kind, default_factory=default_factory, write=given_values)
 
 
 def keys_of(kind: type) -> list[tuple[Field[Any], Key]]:
@@ -292,7 +304,7 @@ def table_of(kind: type) -> Form:
     def read(value: Any, place: Place) -> Any:  # noqa: ANN401
         return read_record(kind, TABLE.read(value, place), place)
 
-    return Form("a table", read, toml_values)
+    return Form("a table", read, given_values)
 
 
 def tables_of(kind: type, heading: str) -> Form:
@@ -321,6 +333,73 @@ def toml_values(value: Any) -> dict[str, Any]:  # noqa: ANN401  any record
     return result
 
 
+def given_values(value: Any) -> dict[str, Any]:  # noqa: ANN401  any record
+    """Return the table of a record by its keys, with all that differs from the defaults: it is read back as the record.
+
+    Fields of several keys are left out if they do not say how they are written.
+    """
+    rows = [(field, written, written.make()) for field, written in _written_fields(value)]
+    changed = {
+        row.name
+        for field, _, of_field in rows
+        if not _is_default(field, getattr(value, field.name))
+        for row in of_field
+    }
+    result: dict[str, Any] = {}
+    for field, written, of_field in rows:
+        given = getattr(value, field.name)
+        if given is None or not changed & {row.name for row in of_field}:
+            continue
+        if written.join is not None:
+            result.update({} if written.write is None else written.write(given))
+            continue
+        (row,) = of_field
+        if row.name not in result:
+            write = row.form.write if row.of_record is None else row.of_record
+            result[row.name] = write(given if row.of_record is None else value)
+    return result
+
+
+def _is_default(field: Field[Any], given: Any) -> bool:  # noqa: ANN401
+    """Return True if a field has its default."""
+    default = field.default
+    if field.default_factory is not MISSING:
+        default = field.default_factory()
+    return default is not MISSING and bool(np.array_equal(given, default))
+
+
+def written_parts(rows: Iterable[Key], parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of a file by their keys, from values in SI units by the keys' parts, as far as given."""
+    return {row.name: row.form.write(parts[row.part]) for row in rows if row.part in parts}
+
+
+def toml_text(table: Mapping[str, Any], heading: str = "") -> str:
+    """Return a table as a text of TOML: its values first, then its tables under their headings.
+
+    Args:
+        table: Texts, numbers, truth values, lists of them, tables, and lists of tables, by their keys.
+        heading: The keys of the table in the file, joined by points; empty: the outermost one.
+    """
+    lines, blocks = [], []
+    for name, given in table.items():
+        path = ".".join(filter(None, [heading, _toml_key(name)]))
+        if isinstance(given, Mapping):
+            inside = toml_text(given, path)
+            # A heading of tables alone says nothing.
+            has_own = not inside.startswith("\n")
+            blocks.append(f"\n[{path}]\n{inside}" if has_own else inside)
+        elif isinstance(given, list | tuple) and given and isinstance(given[0], Mapping):
+            blocks += [f"\n[[{path}]]\n{toml_text(entry, path)}" for entry in given]
+        else:
+            lines.append(f"{_toml_key(name)} = {toml(given)}\n")
+    return "".join([*lines, *blocks])
+
+
+def _toml_key(name: str) -> str:
+    """Return a key as TOML has it, in quotes if it has signs."""
+    return name if _BARE_KEY.fullmatch(name) else toml(name)
+
+
 def toml_lines(value: Any, *, without: Collection[str] = ()) -> list[str]:  # noqa: ANN401  any record
     """Return a record as lines of TOML, each key under a comment that explains it, its value in the unit of the file.
 
@@ -341,7 +420,7 @@ def toml_lines(value: Any, *, without: Collection[str] = ()) -> list[str]:  # no
 def toml(value: Any) -> str:  # noqa: ANN401
     """Write a text, a truth value, a number, or a list of such values, as TOML."""
     if isinstance(value, bool | str):
-        return json_text.dumps(value, ensure_ascii=False)
+        return json_text.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml, value))}]"
     return repr(value)

@@ -338,6 +338,11 @@ def parse_noise(text: str, option: str) -> tuple[float, float]:
     return lengths[0], sum(lengths[1:])
 
 
+def noise_text(constant: float, per_length: float) -> str:
+    """Return an instrument's noise, a constant [m] and a part per metre [m/m], as `parse_noise` reads it."""
+    return f"{1e6 * constant:.15g} um + {1e6 * per_length:.15g} um/m"
+
+
 def parse_joint_value(value: object, where: str) -> float:
     """Return the value of a joint with its unit as an `Angle` [rad] or a `Length` [m].
 

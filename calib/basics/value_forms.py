@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calib.basics.arrays import Array
-from calib.basics.units import UNITS, is_number, parse_joint_range, parse_joint_value
+from calib.basics.units import UNITS, Length, is_number, parse_joint_range, parse_joint_value
 from calib.errors import CalibError, choices, did_you_mean
 
 
@@ -142,14 +142,20 @@ def to_si(value: Any, unit_in_si: float) -> Any:  # noqa: ANN401  a number or an
     return value / (1.0 / unit_in_si)
 
 
-def number(unit: str = "", convert: Callable[[float], float] | None = None) -> Form:
+def number(
+    unit: str = "",
+    convert: Callable[[float], float] | None = None,
+    unit_in_si: float | None = None,
+) -> Form:
     """Return the form of a number in a unit, such as ``"mm"``.
 
     Args:
         unit: The unit in the file; empty: none.
-        convert: From the unit to SI; None: as `calib.basics.units.UNITS` says.
+        convert: From the unit to SI; None: by its size.
+        unit_in_si: Its size in SI units; None: as `calib.basics.units.UNITS` says.
     """
-    unit_in_si = UNITS[unit].to_si if unit in UNITS else 1.0
+    if unit_in_si is None:
+        unit_in_si = UNITS[unit].to_si if unit in UNITS else 1.0
 
     def read(value: Any) -> float | None:  # noqa: ANN401
         if not is_number(value):
@@ -186,12 +192,17 @@ def decimal(unit: str, places: int, least: float = -np.inf) -> Form:
     return form(f"a number [{unit}]{limit}", read, lambda value: shift_decimal(value, -places))
 
 
-def three_numbers(unit: str = "", convert: Callable[[Array], Any] | None = None) -> Form:
+def three_numbers(
+    unit: str = "",
+    convert: Callable[[Array], Any] | None = None,
+    convert_back: Callable[[Any], Array] = same,
+) -> Form:
     """Return the form of a list of three numbers in a unit.
 
     Args:
         unit: The unit in the file, such as ``"mm"``; empty: none.
         convert: From an array of shape (3,) in the unit to what is kept; None: to the array in SI units.
+        convert_back: From what is kept to the array of shape (3,) in SI units.
     """
     unit_in_si = UNITS[unit].to_si if unit in UNITS else 1.0
 
@@ -202,8 +213,9 @@ def three_numbers(unit: str = "", convert: Callable[[Array], Any] | None = None)
         array = np.array(value, dtype=np.float64)
         return to_si(array, unit_in_si) if convert is None else convert(array)
 
-    def write(array: Array) -> list[float]:
-        return [float(f"{value / unit_in_si:.15g}") for value in array.tolist()]
+    def write(kept: Any) -> list[float]:  # noqa: ANN401
+        values = convert_back(kept).tolist()
+        return [float(f"{value / unit_in_si:.15g}") + 0.0 for value in values]
 
     return form(f"three numbers [{unit}]" if unit else "three numbers", read, write)
 
@@ -219,16 +231,24 @@ POINT_MM = three_numbers("mm")
 #: A table, as a dict.
 TABLE = of_type(dict, "a table")
 
+
+def _joint_text(value: float) -> str:
+    """Write the value of a joint, an `Angle` [rad] or a `Length` [m], with its unit."""
+    return f"{float(value)!r} {'m' if isinstance(value, Length) else 'rad'}"
+
+
 #: The value of a joint, as an `Angle` [rad] or a `Length` [m].
 JOINT_VALUE = Form(
     'the value of a joint, "30 deg" or "0.3 m"',
     lambda value, place: parse_joint_value(value, str(place)),
+    _joint_text,
 )
 
 #: The least and the largest value of a joint, both an `Angle` or both a `Length`.
 JOINT_RANGE = Form(
     'two values of a joint, ["-90 deg", "90 deg"]',
     lambda value, place: parse_joint_range(value, str(place)),
+    lambda ends: list(map(_joint_text, ends)),
 )
 
 
@@ -250,11 +270,22 @@ def list_of(entry: Form, words: str, heading: str = "") -> Form:
 NAMES = list_of(text("a name"), "a list of names")
 
 
-def named(entry: Form) -> Form:
-    """Return the form of a table whose keys are names that the user chooses, as a dict of its values by name."""
+def named(entry: Form, write: Callable[[str, Any], Any] | None = None) -> Form:
+    """Return the form of a table whose keys are names that the user chooses, as a dict of its values by name.
+
+    Args:
+        entry: The form of a value.
+        write: From a name and its value to what the file holds, if that depends on the name; None: by the form.
+    """
 
     def read(value: Any, place: Place) -> dict[str, Any]:  # noqa: ANN401
         table = TABLE.read(value, place)
         return {name: entry.read(given, place.key(name)) for name, given in table.items()}
 
-    return Form(f"a table of names, each with {entry.words}", read)
+    def write_all(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            name: entry.write(value) if write is None else write(name, value)
+            for name, value in values.items()
+        }
+
+    return Form(f"a table of names, each with {entry.words}", read, write_all)

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import warnings
 from datetime import date, time, timedelta
 from typing import TYPE_CHECKING
 from zipfile import BadZipFile
 
+from calib.basics.files import read_bytes
 from calib.errors import MeasurementError, choices, did_you_mean
 
 if TYPE_CHECKING:
@@ -83,6 +85,12 @@ def read_sheet(data: bytes, source: str, sheet: str) -> tuple[str, str]:
                 )
         writer.writerow([text_of_cell(cell.value) for cell in row])
     return text.getvalue(), "" if len(sheets) == 1 else name
+
+
+def sheet_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Return the names of the sheets of an Excel file; FileError or MeasurementError as of `read_sheet`."""
+    data = read_bytes(path, "Excel file")
+    return tuple(worksheet.title for worksheet in _load(data, str(path), values=True).worksheets)
 
 
 def _load(data: bytes, source: str, *, values: bool) -> Workbook:

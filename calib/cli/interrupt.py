@@ -43,6 +43,16 @@ def ends_after_ctrl_c() -> Iterator[None]:
         told.close()
 
 
+@contextmanager
+def left_to_the_program() -> Iterator[None]:
+    """Leave Ctrl-C in the block to the program, which ends by itself then, as a server does."""
+    before = signal.set_wakeup_fd(-1)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+
+
 def _watch(watched: socket.socket) -> None:
     """Wait for the number of a signal on a socket, until its other end is closed; end the program after Ctrl-C."""
     with watched:

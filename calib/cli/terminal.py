@@ -6,14 +6,14 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from calib.basics.progress import Stage, watching
+from calib.basics.progress import Stage, counted, is_watched, watching
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -70,13 +70,27 @@ def say(text: str) -> None:
     if not sys.stdout.isatty():
         typer.echo(text)
         return
+    say_lines(styled(text))
+
+
+def say_lines(lines: Iterable[tuple[str, str]]) -> None:
+    """Print lines to stdout, each with its style of rich on a terminal; a file gets them as they are.
+
+    Args:
+        lines: Texts and styles; ``""`` is none.
+    """
+    if not sys.stdout.isatty():
+        for text, _ in lines:
+            typer.echo(text)
+        return
     from rich.console import Console
     from rich.text import Text
 
     console = Console(highlight=False, markup=False, emoji=False)
-    for line, style in styled(text):
+    for text, style in lines:
         # The lines are set already: a narrow terminal wraps them itself, and what is copied stays whole.
-        console.print(Text(line, style), soft_wrap=True)
+        for line in _visible(text).split("\n"):
+            console.print(Text(line, style), soft_wrap=True)
 
 
 def styled(text: str) -> Iterator[tuple[str, str]]:
@@ -137,15 +151,18 @@ def command_line() -> str:
 
 @contextmanager
 def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Show a bar on stderr for each stage of the work in the block.
+    """Show a bar on stderr for each stage of the work in the block; whoever watches the progress hears of it instead.
 
     Args:
         quiet: Whether no bar is wanted.
 
     Yields:
         A function of the stage's name, the work done and all of its work; None if ``quiet``, or if stderr is not a
-        terminal.
+        terminal and nobody watches.
     """
+    if is_watched():
+        yield lambda _stage, done, total: counted(done, total)
+        return
     if quiet or not sys.stderr.isatty():
         yield None
         return

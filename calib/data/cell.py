@@ -7,7 +7,7 @@ the robot's errors, the payload, and which parameters are estimated. All of it c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from calib.basics.records import (
     Key,
     Option,
     add_entries,
+    given_values,
     keep_checked,
     key,
     keys,
@@ -31,8 +32,16 @@ from calib.basics.records import (
     read_values,
     table_of,
     tables_of,
+    toml_text,
 )
-from calib.basics.units import MASS, parse_amount, parse_joint_values, parse_point
+from calib.basics.units import (
+    MASS,
+    Angle,
+    Length,
+    parse_amount,
+    parse_joint_values,
+    parse_point,
+)
 from calib.basics.value_forms import (
     JOINT_RANGE,
     JOINT_VALUE,
@@ -50,7 +59,9 @@ from calib.basics.value_forms import (
 )
 from calib.basics.values import ReadOnlyMapping, Value, one_line
 from calib.boards.board import Board
+from calib.boards.board_file import board_toml
 from calib.camera.camera import Camera
+from calib.camera.camera_file import camera_toml
 from calib.data.cell_keys import (
     ARE_BOUNDS,
     ARE_DIRECTIONS,
@@ -79,8 +90,14 @@ from calib.data.cell_keys import (
     robots_by_name,
     sigma_keys,
     words_by_name,
+    write_bounds,
+    write_change,
+    write_described,
+    write_frame,
+    write_pose,
+    write_sigma,
 )
-from calib.data.priors import Priors, prior_keys
+from calib.data.priors import Priors, prior_keys, write_priors
 from calib.data.record import Record
 from calib.data.stated_uncertainty import StatedUncertainty
 from calib.data.surroundings import (
@@ -295,6 +312,7 @@ class Cell(Value):
         default=False,
         absent='"known"',
         option=frame_option(0),
+        of_record=write_frame,
     )
     #: Directions, of `DIRECTIONS` along the axes of the base, that are estimated if frames are.
     frame_directions: tuple[str, ...] = key(
@@ -312,6 +330,7 @@ class Cell(Value):
         pose_of,
         default=None,
         check=IS_POSE,
+        write=write_pose("frame_"),
     )
     #: Poses T_frame_base by group, shape (4, 4) each [m]; they override ``T_frame_base``.
     frames: Mapping[str, Array] = key(
@@ -337,7 +356,11 @@ class Cell(Value):
     #: Standard deviation of one measured scalar by its unit: ``"m"`` of a coordinate or length [m], ``"rad"`` of an
     #: angle [rad], ``"px"`` of an image coordinate [px]; that of a unit that is missing is estimated from the data.
     sigma: Mapping[str, float] = keys(
-        sigma_keys, dict, default_factory=ReadOnlyMapping, check=ARE_SIGMAS
+        sigma_keys,
+        dict,
+        default_factory=ReadOnlyMapping,
+        check=ARE_SIGMAS,
+        write=write_sigma,
     )
     #: What measures the target, a name of `SCALE_SIGMAS`: how well its scale is known; None: not said.
     instrument: str | None = key(
@@ -439,17 +462,17 @@ class Cell(Value):
     #: The least and the largest change of parameters by name; 0 is between them.
     bounds: Mapping[str, tuple[float, float]] = key(
         "bounds",
-        named(BOUNDS),
+        named(BOUNDS, write_bounds),
         "Limits of the changes of parameters, see below.",
         default_factory=ReadOnlyMapping,
         each=ARE_BOUNDS,
     )
     #: Prior standard deviations of the robot's errors, by family.
-    priors: Priors = keys(prior_keys, Priors, default_factory=Priors)
+    priors: Priors = keys(prior_keys, Priors, default_factory=Priors, write=write_priors)
     #: Prior standard deviations of the changes of single parameters, by name; they override ``priors``.
     parameter_priors: Mapping[str, float] = key(
         "parameter_priors",
-        named(CHANGE),
+        named(CHANGE, write_change),
         "Prior standard deviations of single parameters, see below.",
         default_factory=ReadOnlyMapping,
         each=IS_PRIOR_STD,
@@ -563,9 +586,19 @@ class Cell(Value):
         each=IS_RANGE,
     )
     #: Cameras by the name of their station; ``""`` is that of a table without stations.
-    cameras: Mapping[str, Camera] = keys(camera_keys, by_name, default_factory=ReadOnlyMapping)
+    cameras: Mapping[str, Camera] = keys(
+        camera_keys,
+        by_name,
+        default_factory=ReadOnlyMapping,
+        write=write_described("camera", camera_toml),
+    )
     #: Printed boards by the name of their target; ``""`` is that of a table without targets.
-    boards: Mapping[str, Board] = keys(board_keys, by_name, default_factory=ReadOnlyMapping)
+    boards: Mapping[str, Board] = keys(
+        board_keys,
+        by_name,
+        default_factory=ReadOnlyMapping,
+        write=write_described("board", board_toml),
+    )
     #: Who measured what for whom, where, when and with what; for reports.
     record: Record = key(
         "record",
@@ -654,6 +687,25 @@ class Cell(Value):
         except CalibError as error:
             kind = FileError if isinstance(error, FileError) else CalibError
             raise kind(f"{path}: {error}") from error
+
+    def to_toml(self, sliding: Collection[str] = ()) -> str:
+        """Return the cell as the text of a cell file, from which `read` makes the same cell.
+
+        It has what differs from the default cell; files that parts of the cell were read from are not named.
+
+        Args:
+            sliding: Names of the joints that slide: their values are written in [m], those of the others in [rad].
+        """
+
+        def typed(name: str, value: float) -> float:
+            """Return the value of a joint, which a cell may have without its unit, with it."""
+            return Length(value) if name in sliding else Angle(value)
+
+        held = {name: typed(name, value) for name, value in self.held.items()}
+        ranges = {
+            name: (typed(name, low), typed(name, high)) for name, (low, high) in self.ranges.items()
+        }
+        return toml_text(given_values(replace(self, held=held, ranges=ranges)))
 
     def with_target(self, target: ArrayLike, *, estimate: bool = True) -> Cell:
         """Return the cell with another target.

@@ -7,6 +7,7 @@ which may stand in files of their own.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.basics.records import Key, Option, add_entries, read_parts
+from calib.basics.records import (
+    Key,
+    Option,
+    add_entries,
+    parse_toml,
+    read_parts,
+    written_parts,
+)
 from calib.basics.units import ANGLE, COMPLIANCE, LENGTH, PLAIN, is_number, parse_quantity
 from calib.basics.value_forms import (
     POINT_MM,
@@ -46,8 +54,17 @@ _Described = TypeVar("_Described")
 # Poses and noise
 
 
+def _rpy_of(R: Array) -> Array:
+    """Return roll, pitch, yaw of a rotation matrix, shape (3,) [rad]; at a pitch of 90 deg the yaw is 0."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # SciPy warns of such a pitch
+        return np.asarray(Rotation.from_matrix(R).as_euler("xyz"))
+
+
 #: Roll, pitch, yaw about fixed axes, as a rotation matrix (3, 3).
-RPY_DEG = three_numbers("deg", lambda rpy: Rotation.from_euler("xyz", np.radians(rpy)).as_matrix())
+RPY_DEG = three_numbers(
+    "deg", lambda rpy: Rotation.from_euler("xyz", np.radians(rpy)).as_matrix(), _rpy_of
+)
 
 
 def pose_keys(prefix: str, what: str, *, needed: bool = False) -> Sequence[Key]:
@@ -66,6 +83,12 @@ def pose_keys(prefix: str, what: str, *, needed: bool = False) -> Sequence[Key]:
     )
 
 
+def write_pose(prefix: str) -> Callable[[Array], dict[str, Any]]:
+    """Return the function that gives the entries of a file, by the keys of `pose_keys`, of a pose, shape (4, 4) [m]."""
+    rows = pose_keys(prefix, "")
+    return lambda T: written_parts(rows, {"xyz": T[:3, 3], "rotation": T[:3, :3]})
+
+
 def pose_form(what: str) -> Form:
     """Return the form of a table with the keys of a pose, as T, shape (4, 4) [m]."""
     rows = pose_keys("", what)
@@ -73,7 +96,7 @@ def pose_form(what: str) -> Form:
     def read(value: Any, place: Place) -> Array:  # noqa: ANN401
         return pose_of(**read_parts(rows, TABLE.read(value, place), place))
 
-    return Form("a table with xyz_mm and rpy_deg", read)
+    return Form("a table with xyz_mm and rpy_deg", read, write_pose(""))
 
 
 def sigma_keys() -> Sequence[Key]:
@@ -86,6 +109,11 @@ def sigma_keys() -> Sequence[Key]:
         )
         rows.append(Key(unit.sigma_key, number(unit.shown), meaning, "estimated", part=symbol))
     return rows
+
+
+def write_sigma(sigma: Mapping[str, float]) -> dict[str, Any]:
+    """Return the entries of a file, by the keys of `sigma_keys`, of standard deviations by unit."""
+    return written_parts(sigma_keys(), sigma)
 
 
 # Links
@@ -214,6 +242,16 @@ def frame_option(part: int) -> Option:
 
 
 _FRAME = f"'known', 'estimate' or some of {', '.join(DIRECTIONS)}; its pose is frame_xyz_mm and frame_rpy_deg"
+
+
+def write_frame(cell: Any) -> str | list[str]:  # noqa: ANN401  a Cell, which is made of these keys
+    """Return the key ``frame`` of a cell: whether its measurement frame is estimated, or in which directions."""
+    if not cell.estimate_frame:
+        return "known"
+    is_whole = cell.frame_directions == DIRECTIONS
+    return "estimate" if is_whole else list(cell.frame_directions)
+
+
 FRAME_ESTIMATED = form(_FRAME, lambda value: frame_of(value)[0])
 FRAME_DIRECTIONS = form(_FRAME, lambda value: frame_of(value)[1])
 
@@ -222,6 +260,9 @@ FRAME_DIRECTIONS = form(_FRAME, lambda value: frame_of(value)[1])
 
 #: An example of a change of each quantity, for messages.
 _EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', PLAIN: "1e-3", COMPLIANCE: '"1e-5 rad/Nm"'}
+
+#: A unit of each quantity that has the size of the SI unit.
+_SI = {LENGTH: "m", ANGLE: "rad", PLAIN: "", COMPLIANCE: "rad/Nm"}
 
 #: Quantities of geometric parameters by a pattern of their names, see docs/parameters.md; the first that fits is taken.
 _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -267,6 +308,17 @@ def _read_bounds(value: Any, place: Place) -> tuple[float, ...]:  # noqa: ANN401
         return tuple(_read_change(bound, place) for bound in value)
     largest = _read_change(value, place)
     return -largest, largest
+
+
+def write_change(parameter: str, change: float) -> str | float:
+    """Write a change of a parameter, in SI units, with the unit of its quantity."""
+    unit = _SI[_quantities_of(parameter)[0]]
+    return f"{float(change)!r} {unit}" if unit else float(change)
+
+
+def write_bounds(parameter: str, bounds: Sequence[float]) -> list[str | float]:
+    """Write the least and the largest change of a parameter."""
+    return [write_change(parameter, bound) for bound in bounds]
 
 
 #: The change of a parameter from its nominal value.
@@ -326,6 +378,26 @@ def by_name(
 ) -> dict[str, _Described]:
     """Return cameras or boards by their names in the cell; ``""`` for the ``single`` one without a name; None: none."""
     return {**({} if single is None else {"": single}), **(several or {})}
+
+
+def write_described(
+    word: str, write: Callable[[Any], str]
+) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """Return the function that gives the entries of a file, by the keys of `described_keys`, of cameras or boards.
+
+    Args:
+        word: ``"camera"`` or ``"board"``.
+        write: Gives the content of a file of one.
+    """
+
+    def entries(described: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the table of the one without a name, and those of the others by name."""
+        tables = {name: parse_toml(write(each)) for name, each in described.items()}
+        single = tables.pop("", None)
+        of_single = {} if single is None else {word: single}
+        return {**of_single, **({f"{word}s": tables} if tables else {})}
+
+    return entries
 
 
 #: The size of images: width and height [px].

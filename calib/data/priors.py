@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
-from calib.basics.records import Key, Option
-from calib.basics.value_forms import number, one_of, to_si
+from calib.basics.records import Key, Option, written_parts
+from calib.basics.value_forms import number, one_of
 from calib.errors import CalibError, choices
 from calib.model.families import FAMILIES, family_of
 
@@ -105,12 +105,15 @@ def prior_keys() -> Sequence[Key]:
         rows.append(
             Key(
                 f"prior_{name}{suffix}",
-                number(
-                    suffix.strip("_").replace("_per_", "/"), partial(to_si, unit_in_si=unit_in_si)
-                ),
+                number(suffix.strip("_").replace("_per_", "/"), unit_in_si=unit_in_si),
                 f"Prior standard deviation of {meaning}.",
                 f"{family.prior / unit_in_si:g}".replace("e-0", "e-"),
                 part=name,
             )
         )
     return rows
+
+
+def write_priors(priors: Priors) -> dict[str, Any]:
+    """Return the entries of a file, by the keys of `prior_keys`, of what was given."""
+    return written_parts(prior_keys(), {"source": priors.source, **dict(priors.given)})

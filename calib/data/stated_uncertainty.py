@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calib.basics.records import keep_checked, key
-from calib.basics.units import is_number, parse_noise
+from calib.basics.units import is_number, noise_text, parse_noise
 from calib.basics.value_forms import DEGREES, MM, Check, Form, Place, decimal, form
 from calib.data.record import TEMPERATURES_C
 
@@ -69,6 +69,9 @@ class StatedUncertainty:
         "Largest error of a coordinate that the instrument measures, by its certificate: a constant, plus a part for "
         "each metre of distance. It says how much of the residuals is the instrument's.",
         json="instrument_limit_m",
+        of_record=lambda stated: noise_text(
+            stated.instrument_limit, stated.instrument_limit_per_length
+        ),
     )
     #: Its increase with the distance [m/m]
     instrument_limit_per_length: float = _size(

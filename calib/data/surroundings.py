@@ -6,13 +6,14 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
 from calib.basics.records import embedded, keep_checked, key, keys
-from calib.basics.units import parse_noise
+from calib.basics.units import noise_text, parse_noise
 from calib.basics.value_forms import (
     DEGREES,
     MM,
@@ -25,7 +26,7 @@ from calib.basics.value_forms import (
     three_numbers,
 )
 from calib.basics.values import Value
-from calib.data.cell_keys import IS_POSE, pose_keys
+from calib.data.cell_keys import IS_POSE, pose_keys, write_pose
 from calib.errors import CalibError, choices
 from calib.numerics.geometry import pose_of, vector
 
@@ -44,7 +45,13 @@ def _read_robot(value: Any, place: Place) -> str:  # noqa: ANN401
 
 
 #: The form of a robot: the path of its file, or its name.
-_ROBOT = Form("the path of a URDF, or the name of a robot", _read_robot)
+def _write_robot(robot: str) -> str:
+    """Return a robot as a file in any folder names it: by the whole path of its file."""
+    path = Path(robot)
+    return str(path.resolve()) if path.is_file() else robot
+
+
+_ROBOT = Form("the path of a URDF, or the name of a robot", _read_robot, _write_robot)
 
 
 def _noise_form(part: int) -> Form:
@@ -72,6 +79,7 @@ class TrackerNoise:
         "Standard deviation of one coordinate: a constant, plus a part for each metre of distance.",
         default=15e-6,
         absent="15 um + 6 um/m",
+        of_record=lambda noise: noise_text(noise.constant, noise.per_length),
     )
     #: Increase with the distance [m/m].
     per_length: float = key("noise", _noise_form(1), "", default=6e-6)
@@ -112,7 +120,9 @@ class Box(Value):
     size: Array = key("size_mm", POINT_MM, "Lengths of the edges along x, y, z of the box.")
     #: Shape (4, 4), pose of the box's centre in the robot's base [m].
     T_base_box: Array = keys(
-        lambda: pose_keys("", "the box's centre in the robot's base", needed=True), pose_of
+        lambda: pose_keys("", "the box's centre in the robot's base", needed=True),
+        pose_of,
+        write=write_pose(""),
     )
 
     def __post_init__(self) -> None:
@@ -145,6 +155,7 @@ class FurtherRobot(Value):
         pose_of,
         default=None,
         check=IS_POSE,
+        write=write_pose(""),
     )
     #: True if that pose is estimated.
     estimated: bool = key(

@@ -465,14 +465,18 @@ def read_urdf(source: str | Path) -> Urdf:
     if of_arm is not None:
         data, arm = of_arm
         return Urdf.from_bytes(data, f"the nominal {arm}")
-    files = {file.removesuffix(".urdf").removesuffix("_robot") for file in robot_data_urdfs()}
-    known = sorted(
-        files | {model.plain for model in MODELS} | {arm.plain for arm in ARMS} | {flange.NAME}
-    )
+    known = known_robots()
     raise UrdfError(
         f"'{name}' is neither a file here nor a robot whose name calib knows{_similar(name, known)}. Give the path of "
         f"a URDF, a xacro, an MJCF or DH rows, or one of {choices(known)}."
     )
+
+
+def known_robots() -> list[str]:
+    """Return the names of robots that `read_urdf` takes in place of a file, sorted."""
+    files = {file.removesuffix(".urdf").removesuffix("_robot") for file in robot_data_urdfs()}
+    arms = {model.plain for model in MODELS} | {arm.plain for arm in ARMS}
+    return sorted(files | arms | {flange.NAME})
 
 
 @lru_cache(maxsize=1)

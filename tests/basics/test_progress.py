@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from calib.basics.progress import Stage, begin, counted, trying, watching
+from calib.basics.progress import Stage, begin, counted, is_watched, trying, watching
 
 
 def test_a_watcher_hears_what_is_said_within_its_block():
@@ -21,3 +21,11 @@ def test_a_watcher_hears_what_is_said_within_its_block():
         apart.join()
     begin(Stage.WRITING)
     assert heard == [(Stage.MODELS, "", 0, 0), (None, "dh+gain", 0, 0), (None, "", 2, 7)]
+
+
+def test_whether_somebody_watches():
+    assert not is_watched()
+    with watching(lambda *_: None):
+        assert is_watched()
+        with watching(None):
+            assert not is_watched()

@@ -12,10 +12,10 @@ import pytest
 from openpyxl import Workbook
 
 from calib.basics.tables import Table
-from calib.basics.workbook import split_sheet
+from calib.basics.workbook import sheet_names, split_sheet
 from calib.data.measurements import Measurements
 from calib.data.points_file import read_points
-from calib.errors import MeasurementError
+from calib.errors import FileError, MeasurementError
 from tests.data.tables import refused
 
 
@@ -66,6 +66,12 @@ def test_two_sheets_of_a_file_are_two_tables(saved):
     path = saved(["a [deg]"], [1])
     first, notes = Table.read(path), Table.read(f"{path}#Notes")
     assert first.sha256 == Table.read(f"{path}#Poses").sha256 != notes.sha256
+
+
+def test_sheets_are_listed(saved, tmp_path):
+    assert sheet_names(saved(("a",))) == ("Poses", "Notes")
+    with pytest.raises(FileError, match="does not exist"):
+        sheet_names(tmp_path / "none.xlsx")
 
 
 def test_a_sheet_is_a_list_of_points(saved):

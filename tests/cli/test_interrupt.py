@@ -72,6 +72,12 @@ def test_work_that_ends_by_itself_is_let_end():
     assert (code, out, err) == (0, "ready\nheard\nend\n", "")
 
 
+def test_a_program_that_ends_by_itself_may_take_its_time():
+    begin = "with interrupt.left_to_the_program():\n        "
+    work = begin + WORKING.strip().replace("\n", "\n    ") + "\n        time.sleep(0.3)"
+    assert interrupted(work, grace=0.1) == (0, "ready\nheard\nend\n", "")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [0.2, 0.4, 0.8, 1.6])
 @pytest.mark.parametrize(

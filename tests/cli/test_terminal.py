@@ -10,7 +10,8 @@ import sys
 
 import pytest
 
-from calib.cli.terminal import Pace, say, styled
+from calib.basics.progress import watching
+from calib.cli.terminal import Pace, progress_bar, say, styled
 from calib.show.lines import fill
 
 TEXT = """Verdict: use with care
@@ -202,3 +203,13 @@ def test_a_bar_of_work_without_an_amount():
     assert "Looking" in seen
     assert "%" not in seen.replace("  0%", "")
     assert on_a_terminal(MOVING.replace("QUIET", "True")) == ""
+
+
+def test_who_watches_hears_of_a_bar_s_work():
+    heard = []
+    with (
+        watching(lambda *said: heard.append(said)),
+        progress_bar("pictures", quiet=True) as progress,
+    ):
+        progress(1, 3)
+    assert heard == [(None, "", 1, 3)]

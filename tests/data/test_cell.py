@@ -8,8 +8,24 @@ import re
 import numpy as np
 import pytest
 
+from calib.basics.units import Angle, Length
+from calib.boards.board import Board
+from calib.camera.camera import Camera
 from calib.data.cell import Cell
+from calib.data.priors import Priors
+from calib.data.record import Record
+from calib.data.stated_uncertainty import StatedUncertainty
+from calib.data.surroundings import (
+    Box,
+    FurtherRobot,
+    GroupDistance,
+    Reflector,
+    Tracker,
+    TrackerNoise,
+)
 from calib.errors import CalibError, MeasurementError
+from calib.result.calibration_file import cell_table
+from calib.robot.gravity import Payload
 
 
 def test_the_defaults():
@@ -116,3 +132,74 @@ def test_a_frame_is_stated_as_aligned(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text("frame_aligned = true")
     assert Cell.read(path).frame_aligned
+
+
+def test_a_cell_is_written_as_the_file_that_it_is_read_from(tmp_path):
+    T = np.eye(4)
+    T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    T[:3, 3] = [0.1, -0.2, 0.3]
+    cell = Cell(
+        base="world",
+        bases={"station 1": "rail"},
+        tips={"T.1": "tool0"},
+        robots={"right": FurtherRobot("ur3", T, estimated=False)},
+        target=np.array([0.07, -0.07, 0.0225]),
+        target_rotation=T[:3, :3],
+        targets={"A": np.array([0.1, 0.2, 0.3])},
+        estimate_frame=True,
+        frame_directions=("x", "rz"),
+        T_frame_base=T,
+        frames={'of "left"': T},
+        kind="point",
+        sigma={"m": 1e-5, "px": 0.2},
+        instrument="tracker",
+        stated_scale_sigma=1e-4,
+        repeats="average",
+        frozen=("a2",),
+        ties={"a3": ("a2", -1.0)},
+        bounds={"d2": (-1e-3, 2e-3), "elbow.zero": (-0.1, 0.1), "elbow.gain": (-0.01, 0.01)},
+        priors=Priors("given", length=1e-3, compliance=2e-6),
+        parameter_priors={"d2": 1e-3, "elbow.compliance": 1e-6},
+        payload=Payload(5.0),
+        gravity=np.array([0.0, 9.81, 0.0]),
+        held={"lift": 0.3, "waist": 0.5},
+        coupling={"j3": {"j2": 1.0}},
+        references={"R": "world"},
+        distances=(GroupDistance("a/*", "b/*", 0.2, 1e-5),),
+        tracker=Tracker(np.array([2.5, 0.0, 0.5]), noise=TrackerNoise(1e-5, 5e-6)),
+        reflector=Reflector(np.array([0.0, 0.0, 1.0])),
+        boxes=tuple(Box(name, np.array([1.0, 1.0, 0.1]), T) for name in ("floor", "wall")),
+        ranges={"lift": (0.0, 0.4), "elbow": (-1.0, 1.0)},
+        cameras={"left": Camera(width=1280, height=720)},
+        boards={"": Board(pattern="chessboard", columns=9, rows=6, square=0.025)},
+        record=Record(robot_serial="12\x7f3", temperature_C=(21.5, 23.0)),
+        uncertainty=StatedUncertainty(instrument_limit=1e-5, instrument_limit_per_length=1e-6),
+    )
+    path = tmp_path / "cell.toml"
+    path.write_text(cell.to_toml({"lift"}), encoding="utf-8")
+    again = Cell.read(path)
+    assert isinstance(again.held["lift"], Length)
+    assert isinstance(again.ranges["elbow"][0], Angle)
+    assert cell_table(again).keys() == cell_table(cell).keys()
+    for name, value in cell_table(cell).items():
+        _assert_close(cell_table(again)[name], value)
+
+
+def _assert_close(value, wanted):
+    """Assert that entries of JSON are equal, numbers to 15 digits."""
+    if isinstance(wanted, dict):
+        assert value.keys() == wanted.keys()
+        for name in wanted:
+            _assert_close(value[name], wanted[name])
+    elif isinstance(wanted, list):
+        assert len(value) == len(wanted)
+        for one, other in zip(value, wanted, strict=True):
+            _assert_close(one, other)
+    elif isinstance(wanted, float):
+        assert value == pytest.approx(wanted, rel=1e-14, abs=1e-14)
+    else:
+        assert value == wanted
+
+
+def test_the_default_cell_has_nothing_to_be_written():
+    assert Cell().to_toml() == ""

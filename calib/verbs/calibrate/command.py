@@ -283,6 +283,8 @@ class Intervals:
         return texts, tables
 
 
+_NO_TABLE_OPTIONS, _NO_SOLVER_OPTIONS, _NO_INTERVALS = TableOptions(), SolverOptions(), Intervals()
+
 #: Options that count over those of a record if they are given, by the names of a call's fields.
 _OVER_A_RECORD = (
     "columns",
@@ -407,9 +409,49 @@ def calibrate(
     solver_options: SolverOptions,
     quiet: Quiet = False,
 ) -> None:
-    """Load, fit, write the files and print the summary; exit status 3 if the verdict withheld the URDF.
+    """Calibrate as the options say, see `calibrate_files`."""
+    calibrate_files(
+        robot,
+        data,
+        cell_options,
+        outputs,
+        table_options=table_options,
+        solver_options=solver_options,
+        intervals=intervals,
+        again=again,
+        quiet=quiet,
+    )
 
-    With a record also if the result is not equal to it.
+
+def calibrate_files(
+    robot: str | None,
+    data: Path | None,
+    cell_options: FitOptions,
+    outputs: Outputs,
+    *,
+    table_options: TableOptions = _NO_TABLE_OPTIONS,
+    solver_options: SolverOptions = _NO_SOLVER_OPTIONS,
+    intervals: Intervals = _NO_INTERVALS,
+    again: Path | None = None,
+    quiet: bool = False,
+) -> None:
+    """Load, fit, write the files and print the summary.
+
+    Args:
+        robot: ROBOT, as typed; None with a record.
+        data: DATA; None with a record.
+        cell_options: The cell file, and options over it.
+        outputs: The files to write.
+        table_options: How the table is read.
+        solver_options: How the model is estimated.
+        intervals: Intervals that are computed besides.
+        again: A result that is made again from its own record.
+        quiet: Whether nothing is printed.
+
+    Raises:
+        VerdictError: The verdict withheld the corrected robot.
+        typer.Exit: The result is not equal to its record.
+        CalibError: A fault of the inputs, or a file that cannot be written.
     """
     record = None
     if again is None:

@@ -35,7 +35,7 @@ from calib.verbs.compensate.programs.dialects import DIALECTS
 #: Folders of folders are looked into so far.
 _DEEPEST = 2
 
-#: More files than these are not looked at.
+#: More files than these, besides pictures, are not looked at.
 _MOST = 300
 
 #: Beginnings of names of files that are hidden, and of folders that no one keeps measurements in.
@@ -134,9 +134,10 @@ def look_into(path: Path) -> Folder:
     Returns:
         What is there, what of it belongs together, and the next commands.
     """
-    files = list(_files(path))
+    every = list(_files(path))
+    files = [file for file in every if file.suffix.lower() not in PICTURES]
     entries = [entry for file in files[:_MOST] for entry in _entries(file)]
-    entries += _pictures(files)
+    entries += _pictures(every)
     entries.sort(key=lambda entry: entry.path)
     robots = [entry for entry in entries if entry.what is What.ROBOT]
     tables = [entry for entry in entries if entry.what is What.TABLE]

@@ -1,1 +1,1 @@
-"""Measure a robot pose by pose: which is next, whether a row is good, and when it is enough."""
+"""Measure pose by pose: the next pose, an answer to each stop, and when it is enough."""

@@ -25,17 +25,25 @@ from calib.verbs.measure.breaks import Break, cell_after, forgotten, relabelled
 from calib.verbs.measure.design import Choice, Design, Known
 from calib.verbs.measure.expectation import Expectation
 from calib.verbs.measure.moved import find_moved
-from calib.verbs.measure.row_check import History, RowCheck, check_row, is_same_again
+from calib.verbs.measure.row_check import (
+    SAME_PLACE,
+    History,
+    RowCheck,
+    check_row,
+    conflicts,
+    contradiction,
+    is_same_again,
+)
 from calib.verbs.measure.running_fit import RunningFit
 from calib.verbs.measure.stop import SAME_POSE, Answer, Finding, Row, Stop
 from calib.verbs.plan.forecast import information
 
 #: What is known of the noise beforehand, in degrees of freedom: if the cell states it, and if it is assumed.
-_STATED = 100.0
+_STATED = 300.0
 _ASSUMED = 4.0
 
 #: A stated noise that the rows contradict with this probability does not count.
-_CONTRADICTED = 0.01
+_CONTRADICTED = 1e-3
 
 #: Least standard deviation of errors of a family, over the typical one: few stops may show none.
 _LEAST_ERRORS = 1.0 / 3.0
@@ -45,6 +53,12 @@ _ENOUGH_FREEDOM = 10.0
 
 #: How often a stop is measured again before the session goes on without it.
 _TRIES = 3
+
+#: Stops among which one that contradicts most others is wrong.
+_FEWEST_JUDGES = 4
+
+#: The most explanations that are found at a stop.
+_AT_ONCE = 3
 
 #: Fits to 8, 16, 32, ... stops are those from which the fits to more stops begin.
 _FIRST_START = 8
@@ -193,13 +207,16 @@ class Course:
         stated = sensitivity.sigma_by_unit(q)
         factors = {}
         estimate = None if self.fit is None else self.fit.fitted.estimate
-        own = 0.0 if estimate is None else max(estimate.freedom, 0.0)
         freedom = np.inf
         for unit, sigma in stated.items():
             is_stated = unit in cell.sigma or (unit == "m" and cell.tracker is not None)
             before = _STATED if is_stated else _ASSUMED
-            ratio = 1.0
-            if estimate is not None and unit in estimate.sigma and own > 0.0:
+            ratio, own = 1.0, 0.0
+            if estimate is not None and unit in estimate.sigma:
+                # The freedom is that of all scalars.
+                channels = estimate.problem.rows.channels
+                share = channels.where(unit).sum() / max(channels.used.sum(), 1)
+                own = max(estimate.freedom, 0.0) * float(share)
                 ratio = (estimate.sigma[unit] / sigma) ** 2
             tail = chi2.cdf(own * ratio, own) if own > 0.0 else 0.5
             if own >= _ENOUGH_FREEDOM and min(tail, 1.0 - tail) < _CONTRADICTED:
@@ -313,11 +330,17 @@ class Course:
         check = check_row(
             self.robot, self.fit, table, number, earlier, proposed, self.history, rank
         )
+        if check.is_off is None:
+            counted = [(s.number, t) for s, t in zip(self.counted, self.tables(), strict=True)]
+            setup = self.design.sensitivity.setup
+            wrong = contradiction(self.robot, setup, counted, table, number)
+            if wrong is not None:
+                check = replace(check, is_off=True, findings=(wrong,))
         accepted = not check.is_off
         together: list[int] = []
         if check.is_off:
             together = self._agreeing(row, table, check)
-            accepted = bool(together)
+            accepted = bool(together) or self._shows_another(row, check)
         outcome = "again" if not accepted else "good" if check.is_off is False else "unknown"
         prediction = check.prediction
         answer = Answer(
@@ -336,19 +359,54 @@ class Course:
         ]
         course = self.followed_by(Stop(number, row, answer, accepted), stops, planned)
         if accepted:
-            course, found = course.refitted()._with_breaks()
+            course, found = course.refitted()._explained(
+                given=(number, *together) if together else ()
+            )
             expected = course.expected
+            is_kept = course.stops[-1].counts
             answer = replace(
                 answer,
+                outcome=answer.outcome if is_kept else "again",
                 findings=(*answer.findings, *found),
                 after=None if expected is None else expected.high,
             )
             course = course._with_answer(answer)
         return course._on_curve(), answer
 
+    def _without_contradicted(self) -> tuple[Course, tuple[Finding, ...]]:
+        """Return the course without the stops that most others contradict, and the findings of that."""
+        tables = self.tables()
+        if len(tables) < _FEWEST_JUDGES:
+            return self, ()
+        share = conflicts(self.robot, self.design.sensitivity.setup, tables).sum(axis=1)
+        wrong = np.flatnonzero(share > 0.5 * (len(tables) - 1)).tolist()
+        numbers = [self.counted[k].number for k in wrong]
+        if not numbers or 2 * len(numbers) >= len(tables):
+            return self, ()
+        stops = tuple(replace(s, counts=s.counts and s.number not in numbers) for s in self.stops)
+        return replace(self, stops=stops), tuple(Finding("gross", (n,)) for n in numbers)
+
+    def _shows_another(self, row: Row, check: RowCheck) -> bool:
+        """Return whether a stop that is off shows that an earlier one is: without that one, it is as expected."""
+        if self.fit is None or any(f.code != "gross" for f in check.findings):
+            return False
+        stop = Stop(len(self.stops) + 1, row, Answer(len(self.stops) + 1, "unknown"), counts=True)
+        trial = self.followed_by(stop, self.stops, None).refitted()
+        if trial.fit is None:
+            return False
+        found = find_moved(trial.fit, self.history.factor, len(trial.counted))
+        last = len(trial.counted) - 1
+        return len(found) == 1 and found[0].what == "stop" and found[0].first != last
+
     def _agreeing(self, row: Row, table: Measurements, check: RowCheck) -> list[int]:
         """Return the numbers of the stops before that one which is off too agrees with: then both count."""
         tries = self._tries(row.joints)
+        if check.prediction is None and not any(f.code == "repeated" for f in check.findings):
+            # Without a fit readings agree that are a few times the noise apart.
+            pairs = [(s, s.row.readings) for s in tries if len(s.row.readings) == len(table)]
+            return [
+                s.number for s, t in pairs if np.abs(t.points - table.points).max() < SAME_PLACE
+            ]
         if not tries or self.fit is None or check.prediction is None:
             return []
         # The mistake may have been made twice; that a joint is elsewhere is believed once more.
@@ -399,34 +457,58 @@ class Course:
                 starts = (*starts, FitStart(numbers, breaks, fit))
         return replace(self, fit=fit, starts=starts)
 
-    def _with_breaks(self) -> tuple[Course, tuple[Finding, ...]]:
-        """Return the course with what has moved since a stop, and the findings that are new."""
+    def _explained(self, given: Sequence[int] = ()) -> tuple[Course, tuple[Finding, ...]]:
+        """Return the course with what has moved and without stops that are far off by now, and the findings of that.
+
+        Stops that were ``given`` twice, with the same reading, are not taken for gross ones.
+        """
+        course, findings = self, list[Finding]()
+        for _ in range(_AT_ONCE):
+            course, found = course._one_explained(given)
+            if found is None:
+                break
+            findings.append(found)
+        return course, tuple(findings)
+
+    def _one_explained(self, given: Sequence[int]) -> tuple[Course, Finding | None]:
+        """Return the course with the best explanation of its residuals, and what that is; None if there is nothing."""
         if self.fit is None:
-            return self, ()
+            return self, None
         open_ = bool(self.breaks) and not self.breaks[-1].is_decided
         course = self
         if open_:
             course = replace(self, breaks=self.breaks[:-1]).refitted()
         same = replace(self, starts=course.starts)
         if course.fit is None:
-            return same, ()
+            return same, None
         numbers = [stop.number for stop in self.counted]
         # Before frames, targets and robot were determined nothing that moved could be told from them.
         first = -(-self.design.workspace.rank // self.design.measured.shape[1])
         if course.breaks:
             first = max(first, 1 + sum(number <= course.breaks[-1].stop for number in numbers))
         found = find_moved(course.fit, self.history.factor, first)
-        if not found:
-            return same, ()
+        alone = [m for m in found if m.what == "stop" and numbers[m.first] not in given]
+        moved = [m for m in found if m.what != "stop"]
+        if alone and found[0] in alone:
+            if len(alone) > 1 or (moved and moved[0].first < len(numbers) - 1):
+                return same, None  # later stops will tell
+            number = numbers[alone[0].first]
+            stops = tuple(
+                replace(stop, counts=stop.counts and stop.number != number) for stop in self.stops
+            )
+            gain = {"gain": alone[0].gain}
+            return replace(same, stops=stops).refitted(), Finding("gross", (number,), gain)
+        if not moved:
+            return same, None
         setup = course.fit.fitted.estimated_setup()
-        broken = Break.of(found, numbers, setup, course.breaks)
+        broken = Break.of(moved, numbers, setup, course.breaks)
         if open_ and broken.same_as(self.breaks[-1]):
-            return same, ()
+            return same, None
         course = replace(course, breaks=(*course.breaks, broken)).refitted()
         since = tuple(stop.number for stop in course.counted if stop.number >= broken.stop)
         name = broken.target if broken.target is not None else broken.station
-        gain = {"gain": found[0].gain}
-        return course, (Finding(broken.code, since, gain, name or ""),)
+        gain = {"gain": moved[0].gain}
+        return course, Finding(broken.code, since, gain, name or "")
 
     def _with_answer(self, answer: Answer) -> Course:
         """Return the course with the last stop's answer replaced."""

@@ -1,11 +1,15 @@
-"""Has something moved since a stop? A target that was knocked, or a base or an instrument that stands elsewhere.
+"""Has something moved since a stop, or is a single stop far off? By all stops so far, as each one is added.
+
+A target may have been knocked, or the base or the instrument stand elsewhere, from a stop on; or one reading is gross,
+which may show only now that later stops tell what it should have been.
 
 At the solution of the fit, with residuals r in units of their stated sigma, the derivative A by the parameters and
 their priors P, a displacement u from stop k on adds E_k u to what is predicted. It lowers the sum Q of the squares by
 
     R_k = h^T (E_k^T E_k - D^T M^-1 D)^-1 h,    M = A^T A + P,  D = A^T E_k,  h = E_k^T r - D^T M^-1 g,
 
-g = A^T r less the pull of the priors. If nothing has moved, R_k / (c s^2) follows F(c, nu - c) with the c numbers of u
+g = A^T r less the pull of the priors; a stop that is off alone has the displacement of its targets there. If nothing
+has moved, R_k / (c s^2) follows F(c, nu - c) with the c numbers of u
 that show and s^2 = (Q - R_k) / (nu - c): a displacement that the fit took for noise counts too. Sums from stop k to the
 last one give all k at once. Two explanations are compared by their likelihood with the noise not known,
 nu log (Q - R_k), with log n for each of their c numbers (G. Schwarz, 1978).
@@ -46,15 +50,19 @@ _SEEN = 1e-6
 _SHOWN = 1e-5
 
 
+#: What may have moved.
+What = Literal["target", "base", "stop"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Moved(Value):
-    """A displacement from a stop on."""
+    """A displacement from a stop on, or at one stop alone."""
 
-    #: What has moved
-    what: Literal["target", "base"]
-    #: Name of the target, or of the station
+    #: What has moved; ``"stop"``: the targets at one stop alone
+    what: What
+    #: Name of the target, or of the station; empty for a stop
     name: str
-    #: Index of the first stop after it, from 0
+    #: Index of the first stop after it, or of the stop, from 0
     first: int
     #: R_k over the noise: the squares that it explains
     gain: float
@@ -71,16 +79,16 @@ def find_moved(fit: RunningFit, factor: float, first: int) -> tuple[Moved, ...]:
         first: Index of the first stop before which something may have moved, from 0.
 
     Returns:
-        The likeliest explanation of each kind that is significant, the better first; () if nothing has moved. One
-        alone if it is better than the others by far.
+        The likeliest explanation of each kind that is significant, the best first; () if nothing has moved. One alone
+        if it is better than the others by far.
     """
     found = []
     # Of the fit, with which others that are far off have no part.
     of_fit = float(np.mean(np.square(fit.fitted.estimate.noise)))
     for what, name, scan in _scans(fit):
-        for k, (gain, numbers, square, freedom) in enumerate(scan, start=1):
+        for k, (gain, numbers, square, freedom) in enumerate(scan):
             left = freedom - numbers
-            if k < first or not numbers or left < _ENOUGH_FREEDOM:
+            if (k < first and what != "stop") or not numbers or left < _ENOUGH_FREEDOM:
                 continue
             noise = min(max(square - gain, 0.0) / left, of_fit) * factor
             limit = fdtri(numbers, left, 1.0 - _FALSE_ALARM / len(scan))
@@ -88,9 +96,10 @@ def find_moved(fit: RunningFit, factor: float, first: int) -> tuple[Moved, ...]:
                 left_over = max(square - gain, _TINY * square)
                 cost = freedom * np.log(left_over) + numbers * np.log(fit.rows.count)
                 found.append(Moved(what, name, k, gain / noise, float(cost)))
-    best: dict[tuple[str, str], Moved] = {}
+    best: dict[tuple[str, str, int], Moved] = {}
     for moved in sorted(found, key=lambda moved: moved.cost):
-        best.setdefault((moved.what, moved.name), moved)
+        # Each stop alone is an explanation of its own; of what moved, each place is.
+        best.setdefault((moved.what, moved.name, moved.first if moved.what == "stop" else 0), moved)
     ranked = tuple(best.values())
     return tuple(moved for moved in ranked if moved.cost <= ranked[0].cost + _DECIDED)
 
@@ -167,8 +176,8 @@ def derivative_by(fit: RunningFit) -> tuple[ErrorModel, Array]:
 
 def _scans(
     fit: RunningFit,
-) -> Iterator[tuple[Literal["target", "base"], str, list[tuple[float, int, float, float]]]]:
-    """Yield each target and each station, and for its displacement from stop 1, 2, ... on: R_k, c, Q and nu."""
+) -> Iterator[tuple[What, str, list[tuple[float, int, float, float]]]]:
+    """Yield what may have moved, and for its displacement from stop 0, 1, ... on, or there alone: R_k, c, Q and nu."""
     setup, stops = fit.fitted.setup, fit.stops
     linear = LinearFit.of(fit)
     inverse, g = linear.inverse, linear.g
@@ -177,10 +186,14 @@ def _scans(
     A, r = linear.A.reshape(*of_rows, -1), linear.r.reshape(of_rows)
     count = fit.count
     frames, targets = setup.places
-    places = [("target", name, place) for name, place in zip(setup.targets, targets, strict=True)]
-    places += [("base", name, place) for name, place in zip(setup.groups, frames, strict=True)]
-    for what, name, place in places:
-        columns = [k for k, parameter in enumerate(model.parameters) if parameter.place == place]
+    places: list[tuple[What, str, tuple[str, ...]]] = []
+    places += [
+        ("target", name, (place,)) for name, place in zip(setup.targets, targets, strict=True)
+    ]
+    places += [("base", name, (place,)) for name, place in zip(setup.groups, frames, strict=True)]
+    places += [("stop", "", tuple(targets))]
+    for what, name, of_place in places:
+        columns = [k for k, parameter in enumerate(model.parameters) if parameter.place in of_place]
         E = by_displacement[:, :, columns]
         size = np.sqrt(np.sum(E**2, axis=(0, 1)))
         E = E[:, :, size > _SEEN * size.max()] / size[size > _SEEN * size.max()]
@@ -191,16 +204,16 @@ def _scans(
             e, a = E[of_stop].reshape(-1, c), A[of_stop].reshape(-1, len(g))
             EE[stop], AE[stop] = e.T @ e, a.T @ e
             Er[stop] = e.T @ r[of_stop].reshape(-1)
-        # Sums from each stop to the last one.
-        EE, AE, Er = (np.cumsum(part[::-1], axis=0)[::-1] for part in (EE, AE, Er))
+        if what != "stop":  # sums from each stop to the last one
+            EE, AE, Er = (np.cumsum(part[::-1], axis=0)[::-1] for part in (EE, AE, Er))
         scan = []
-        for k in range(1, count):
+        for k in range(count):
             D = AE[k]
             h = Er[k] - D.T @ inverse @ g
             S = EE[k] - D.T @ inverse @ D
             values, vectors = np.linalg.eigh(S)
-            seen = values > _SHOWN
+            seen = values > _SHOWN * max(float(np.trace(EE[k])), 1.0 / count)
             along = vectors[:, seen].T @ h
             gain = float(np.sum(along**2 / values[seen]))
             scan.append((gain, int(seen.sum()), linear.square, linear.freedom))
-        yield what, name, scan  # type: ignore[misc]
+        yield what, name, scan

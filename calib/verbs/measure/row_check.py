@@ -14,9 +14,10 @@ from itertools import permutations
 import numpy as np
 from scipy.special import fdtrc, fdtri
 
-from calib.basics.arrays import Array
+from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
 from calib.data.measurements import Measurements
+from calib.fit.registration.setup import Setup
 from calib.robot.robot import Robot
 from calib.verbs.measure.running_fit import Prediction, RunningFit
 from calib.verbs.measure.stop import SAME_POSE, Finding
@@ -33,15 +34,25 @@ _BY_CHANCE = 1e-3
 #: Degrees of freedom of the fit's noise from which on its predictions are exact enough for the test.
 _ENOUGH_FREEDOM = 6.0
 
+#: Shares of the numbers that determine all parameters from which on a fit predicts something, and most.
+_SOME = 0.45
+_MOST = 0.7
+
 #: Deviation of a reading from what a fit to a few stops predicts, or the nominal robot, that no calibration explains.
-_ROUGH_LENGTH = 20e-3
+_ROUGH_LENGTH = 25e-3
 _ROUGH_ANGLE = np.deg2rad(5.0)
+
+#: Part of it if the fit has most of the numbers that it needs.
+_CLOSER = 0.3
+
+#: Readings that differ by no more are the same, if nothing is known of the noise [m].
+SAME_PLACE = 1e-3
+
+#: How far a target that is not known may be from the tip [m].
+_LEVER = 0.2
 
 #: Numbers more than frames and targets have, from which on a fit places them.
 _SPARE = 3
-
-#: Two readings this close together are of one pose if the robot had moved by more than ten times as much [m].
-_SAME_PLACE = 0.5e-3
 
 #: Largest change of a single joint that is looked for, and the least that is no noise [rad or m]; how often the search
 #: is narrowed to a quarter.
@@ -118,14 +129,14 @@ def check_row(
     prediction = None if fit is None else fit.predict(table)
     repeated = _same_reading(table, number, before)
     if prediction is None or fit is None:
-        findings = repeated or [*_rough(robot, table, number, before)]
-        return RowCheck(None, np.nan, np.nan, True if findings else None, tuple(findings))
+        return RowCheck(None, np.nan, np.nan, True if repeated else None, tuple(repeated))
     square = prediction.square
     limit = history.limit(len(prediction.y)) * history.factor
     known = fit.fitted.estimate.freedom >= _ENOUGH_FREEDOM and fit.count * len(prediction.y) >= rank
     is_off = square > limit
     if not known:
-        is_off = is_off and _is_far(fit, prediction)
+        share = fit.count * len(prediction.y) / rank
+        is_off = is_off and share >= _SOME and _is_far(fit, prediction, share)
     if repeated:
         return RowCheck(prediction, square, limit, True, tuple(repeated))
     if not is_off:
@@ -147,15 +158,15 @@ def is_same_again(
     return apart <= limit, other.square / history.factor > _CERTAIN * limit
 
 
-def _is_far(fit: RunningFit, prediction: Prediction) -> bool:
-    """Return whether a deviation is beyond what a fit to very few stops may be off by."""
-    # By no more numbers than it takes to place them, frame and target may be anywhere.
+def _is_far(fit: RunningFit, prediction: Prediction, share: float) -> bool:
+    """Return whether a deviation is beyond what a fit may be off by to stops with a share of the numbers it needs."""
     if fit.rows.count < fit.fitted.setup.count + _SPARE:
         return False
     residual, usual = prediction.residual, prediction.usual
-    return residual.get("m", 0.0) > _ROUGH_LENGTH + 6.0 * usual.get("m", 0.0) or residual.get(
-        "rad", 0.0
-    ) > _ROUGH_ANGLE + 6.0 * usual.get("rad", 0.0)
+    rough = 1.0 if share < _MOST else _CLOSER
+    return residual.get("m", 0.0) > rough * _ROUGH_LENGTH + 6.0 * usual.get("m", 0.0) or (
+        residual.get("rad", 0.0) > rough * _ROUGH_ANGLE + 6.0 * usual.get("rad", 0.0)
+    )
 
 
 def _same_reading(
@@ -180,28 +191,62 @@ def _same_reading(
     return []
 
 
-def _rough(
-    robot: Robot, table: Measurements, number: int, before: Sequence[tuple[int, Measurements]]
-) -> Iterator[Finding]:
-    """Yield what distances between the positions of the first stops say, by those of the nominal robot."""
-    if not table.positions.all() or robot.branches:
-        return
-    here = robot.poses(table.joints[:1])[0, :3, 3]
-    off = []
-    for stop, other in before:
-        if not other.positions.all() or other.targets[0] != table.targets[0]:
-            continue
-        measured = float(np.linalg.norm(table.points[0] - other.points[0]))
-        # The target may be a lever away from the tip: its own motion is not known better.
-        moved = float(np.linalg.norm(here - robot.poses(other.joints[:1])[0, :3, 3]))
-        turned = robot.poses(np.stack([table.joints[0], other.joints[0]]))[:, :3, :3]
-        angle = np.arccos(np.clip((np.trace(turned[0].T @ turned[1]) - 1.0) / 2.0, -1.0, 1.0))
-        if measured < _SAME_PLACE and moved > 10.0 * _SAME_PLACE + 0.3 * angle:
-            yield Finding("repeated", (number,), {"stop": float(stop)})
-            return
-        off.append(abs(measured - moved) - 0.5 * angle)
-    if off and min(off) > _ROUGH_LENGTH:
-        yield Finding("gross", (number,), {"off_m": float(min(off))})
+def conflicts(robot: Robot, setup: Setup, tables: Sequence[Measurements]) -> Mask:
+    """Return which stops contradict each other: their targets are farther apart, or closer, than any arm would have it.
+
+    Distances do not depend on where the instrument stands. An arm that is not calibrated is centimetres off at most;
+    where the target is on it may not be known.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets as the cell states them.
+        tables: Readings of n stops.
+
+    Returns:
+        Shape (n, n), symmetric; False where no positions of one target are compared.
+    """
+    n = len(tables)
+    if robot.branches or not all(table.positions.all() for table in tables):
+        return np.zeros((n, n), dtype=np.bool_)
+    names = [(table.groups[0], table.targets[0]) for table in tables]
+    T = robot.poses(np.array([table.joints[0] for table in tables]))
+    if setup.target_given[0]:
+        nominal = (T @ setup.T_tip_target[0])[:, :3, 3]
+        slack = np.zeros((n, n))
+    else:
+        nominal = T[:, :3, 3]
+        traces = np.einsum("aij,bij->ab", T[:, :3, :3], T[:, :3, :3])
+        slack = _LEVER * np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0))
+    points = np.array([table.points[0] for table in tables])
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    expected = np.linalg.norm(nominal[:, None] - nominal, axis=2)
+    same = np.array([[a == b for b in names] for a in names])
+    return np.asarray(same & (np.abs(apart - expected) > _ROUGH_LENGTH + slack))
+
+
+def contradiction(
+    robot: Robot,
+    setup: Setup,
+    counted: Sequence[tuple[int, Measurements]],
+    table: Measurements,
+    number: int,
+) -> Finding | None:
+    """Return what is wrong with a stop that contradicts most of those that count; None if it does not.
+
+    Args:
+        robot: The nominal robot.
+        setup: Frames and targets as the cell states them.
+        counted: Numbers and readings of the stops that count.
+        table: The readings of the stop.
+        number: Its number.
+    """
+    against = conflicts(robot, setup, [*(other for _, other in counted), table])[-1, :-1]
+    for k, (stop, other) in reversed([*enumerate(counted)]):
+        if against[k] and np.abs(other.points[0] - table.points[0]).max() < SAME_PLACE:
+            return Finding("repeated", (number,), {"stop": float(stop)})
+    if not len(against) or np.mean(against) <= 0.5:
+        return None
+    return Finding("gross", (number,))
 
 
 def _explained(

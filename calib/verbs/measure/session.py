@@ -20,6 +20,7 @@ import numpy as np
 from calib.basics.arguments import check_callable, check_flags, check_path, check_type, check_whole
 from calib.basics.arrays import Array, read_only
 from calib.basics.dates import date_text, now
+from calib.basics.files import write_atomically
 from calib.basics.jobs import Progress, one_blas_thread
 from calib.basics.json_files import plain
 from calib.data.cell import Cell
@@ -34,7 +35,15 @@ from calib.verbs.measure.breaks import Break
 from calib.verbs.measure.course import Course, CurvePoint
 from calib.verbs.measure.design import Design
 from calib.verbs.measure.journal import Journal
-from calib.verbs.measure.settings import JOURNAL, PICTURES, TABLE, Settings, cell_of_robot
+from calib.verbs.measure.settings import (
+    CELL,
+    JOURNAL,
+    PICTURES,
+    TABLE,
+    Settings,
+    cell_of_robot,
+    robot_file,
+)
 from calib.verbs.measure.state import NextPose, State, state_of
 from calib.verbs.measure.stop import Answer, Finding, Row, Stop
 from calib.verbs.plan.choice import PlanRequest
@@ -51,6 +60,12 @@ _CANDIDATES = 6000
 _DRAWS = 9
 
 _USUAL_AIM = Aim()
+
+#: Begins the cell file.
+_CELL_HEAD = """\
+# The cell that measurements.csv belongs to, with what has moved. calib measure writes it anew at each stop.
+
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +154,7 @@ class Session:
             if len(start)
             else ()
         )
-        settings = Settings(arm, known, aim, seed, collisions, at)
+        settings = Settings(arm, known, aim, seed, collisions, at, _name_of(robot))
         course = _course_of(settings, progress)
         try:
             place.mkdir(parents=True, exist_ok=True)
@@ -149,7 +164,7 @@ class Session:
             raise FileError(f"'{place / TABLE}' exists: choose another folder for the session.")
         journal = Journal.create(place / JOURNAL)
         try:
-            settings.write(place, _name_of(robot))
+            settings.write(place)
         except BaseException:
             journal.close()
             (place / JOURNAL).unlink(missing_ok=True)
@@ -224,6 +239,11 @@ class Session:
         return self._settings.aim
 
     @property
+    def robot_file(self) -> str:
+        """The robot as `calib.calibrate` takes it: the path or the name it was started with, or the folder's copy."""
+        return robot_file(self._settings, self.folder)
+
+    @property
     def torn(self) -> str:
         """What a program that was ended left unfinished at the end of the journal, and was dropped; mostly empty."""
         return self._journal.torn
@@ -237,6 +257,11 @@ class Session:
     def events(self) -> tuple[Mapping[str, Any], ...]:
         """All that happened, as the journal has it: rows, answers, undo, notes."""
         return self._journal.events
+
+    @property
+    def sights(self) -> tuple[tuple[str, str], ...]:
+        """Station and target of each reading at a pose."""
+        return self._course.design.sensitivity.sights
 
     @property
     def state(self) -> State:
@@ -499,13 +524,16 @@ class Session:
         return answer
 
     def _write_table(self) -> None:
-        """Write the table of the stops that count, if it can be: the journal has them in any case."""
+        """Write the table of the stops that count and its cell file, if it can be: the journal has all in any case."""
         tables = self._course.tables()
         try:
-            if tables:
-                Measurements.joined(tables).write(self.folder / TABLE, overwrite=True)
-            else:
+            if not tables:
                 (self.folder / TABLE).unlink(missing_ok=True)
+            else:
+                Measurements.joined(tables).write(self.folder / TABLE, overwrite=True)
+                sliding = [j.name for j in self.robot.urdf.joints if j.type == "prismatic"]
+                text = _CELL_HEAD + self.cell.to_toml(sliding)
+                write_atomically(self.folder / CELL, text.encode(), overwrite=True)
         except (FileError, OSError) as error:
             self.behind = str(error)
         else:

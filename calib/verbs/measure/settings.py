@@ -32,6 +32,7 @@ SETTINGS = "session.json"
 ROBOT = "robot.urdf"
 JOURNAL = "journal.jsonl"
 TABLE = "measurements.csv"
+CELL = "cell.toml"
 PICTURES = "pictures"
 
 
@@ -51,13 +52,14 @@ class Settings(Value):
     collisions: bool
     #: Shape (m,), joint values before the first pose [rad] or [m]; empty: any pose may be the first
     start: tuple[float, ...] = ()
+    #: The robot as it was named, by an absolute path or a name; empty: it was given in memory
+    source: str = ""
 
-    def write(self, folder: Path, source: str) -> None:
+    def write(self, folder: Path) -> None:
         """Write the settings and a copy of the robot into a folder.
 
         Args:
             folder: A folder without a session.
-            source: The robot as it was named; empty: it was given in memory.
 
         Raises:
             FileError: A file exists, or cannot be written.
@@ -68,7 +70,7 @@ class Settings(Value):
             "schema": SCHEMA,
             "calib": __version__,
             "time": date_text(now()),
-            "robot": source,
+            "robot": self.source,
             "robot_sha256": urdf.sha256,
             "cell": cell_table(self.cell),
             "aim": {
@@ -114,9 +116,17 @@ class Settings(Value):
                 seed=int(table["seed"]),
                 collisions=bool(table["collisions"]),
                 start=tuple(table["start"]),
+                source=str(table["robot"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FileError(f"{path}: {damage(error)}. Start another session.") from error
+
+
+def robot_file(settings: Settings, folder: Path) -> str:
+    """Return the robot as commands take it: as it was named if that is still the same, else its copy in the folder."""
+    urdf = settings.robot.urdf
+    named = _named(settings.source, urdf.sha256)
+    return str(folder / ROBOT) if named is None else settings.source
 
 
 def cell_of_robot(cell: Cell, robot: Robot) -> Cell:
@@ -129,12 +139,15 @@ def cell_of_robot(cell: Cell, robot: Robot) -> Cell:
 
 def _urdf(folder: Path, source: str, sha256: Any) -> Urdf:  # noqa: ANN401  any JSON
     """Return the robot's URDF: the file that was named if it has the same bytes, else the copy in the folder."""
-    if source:
-        try:
-            named = read_urdf(source)
-        except CalibError:
-            pass
-        else:
-            if named.sha256 == sha256:
-                return named
-    return Urdf.read(folder / ROBOT)
+    return _named(source, sha256) or Urdf.read(folder / ROBOT)
+
+
+def _named(source: str, sha256: Any) -> Urdf | None:  # noqa: ANN401  any JSON
+    """Return the robot that was named; None if there is none, or it has other bytes by now."""
+    if not source:
+        return None
+    try:
+        named = read_urdf(source)
+    except CalibError:
+        return None
+    return named if named.sha256 == sha256 else None

@@ -113,8 +113,8 @@ class PoseOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class ImageOptions:
-    """Images of a printed board, and where camera and board roughly are."""
+class PlaceOptions:
+    """Where camera and board roughly are."""
 
     camera_at: Annotated[
         list[str] | None,
@@ -133,28 +133,6 @@ class ImageOptions:
             "into the page.",
         ),
     ] = None
-    distance: Annotated[
-        str | None,
-        typer.Option(
-            metavar='"NEAREST FARTHEST UNIT"',
-            help="Distances between which the camera is in focus. Default: those at which the board fills 15 to "
-            "80 % of "
-            "the image.",
-        ),
-    ] = None
-    tilt: Annotated[
-        str,
-        typer.Option(
-            metavar="ANGLE", help="Largest angle between the board's normal and the line of sight."
-        ),
-    ] = "55 deg"
-    share: Annotated[
-        float,
-        typer.Option(
-            metavar="SHARE",
-            help="Share of the board's corners that each image must show, from 0 to 1.",
-        ),
-    ] = 1.0
 
     def in_cell(self, cell: Cell) -> Cell:
         """Return a cell with its camera and board where the options say; raises `CalibError` for another text.
@@ -179,6 +157,34 @@ class ImageOptions:
             T = pose_of(self.board_at, "--board-at")
             cell = replace(cell, target=T[:3, 3], target_rotation=T[:3, :3], targets={})
         return cell
+
+
+@dataclass(frozen=True, slots=True)
+class ImageOptions(PlaceOptions):
+    """Images of a printed board, and where camera and board roughly are."""
+
+    distance: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"NEAREST FARTHEST UNIT"',
+            help="Distances between which the camera is in focus. Default: those at which the board fills 15 to "
+            "80 % of "
+            "the image.",
+        ),
+    ] = None
+    tilt: Annotated[
+        str,
+        typer.Option(
+            metavar="ANGLE", help="Largest angle between the board's normal and the line of sight."
+        ),
+    ] = "55 deg"
+    share: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the board's corners that each image must show, from 0 to 1.",
+        ),
+    ] = 1.0
 
     def limits(self) -> SightLimits:
         """Return at which distances [m] and tilts [rad], and where in the image, the board may be seen.

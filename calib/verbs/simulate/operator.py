@@ -162,6 +162,8 @@ class Measurement(Value):
     joints: Array
     #: What was read: one row a target, or the corners of one picture.
     readings: Measurements
+    #: Shape (k, 4, 4), where each target had been in its frame at these joint values with nothing wrong here [m].
+    T_frame_target: Array
     #: What is wrong with it: the mistake made here first, then what was knocked before.
     mistakes: tuple[Mistake, ...] = ()
 
@@ -312,6 +314,7 @@ class Operator:
         if reading is None:  # nothing is wrong, or the mistake cannot be made here
             reading = trip.read_well()
 
+        T_frame_target = _target_poses(self._now, reading.noted)
         self._now, self._knocked = now, knocked
         self._late_since = (self._late_since or number) if is_late else None
         self._way = (*way, reading.stands)
@@ -326,7 +329,8 @@ class Operator:
             moves=None,
             images=images,
         )
-        return Measurement(number, reading.noted, rows, (*reading.mistakes, *knocked))
+        mistakes = (*reading.mistakes, *knocked)
+        return Measurement(number, reading.noted, rows, T_frame_target, mistakes)
 
     def _one_pose(self, argument: str, q: ArrayLike) -> Array:
         """Return one pose as an array, shape (m,), [rad] or [m]; `CalibError` if it is none."""
@@ -491,14 +495,23 @@ class _Trip:
 
     def _difference(self, q: Array, other: Array) -> tuple[float, float]:
         """Return how far a target is away at other joint values (m,), the largest distance [m] and rotation [rad]."""
-        truth, kind = self.cell.truth, self.cell.scenario.kind
+        kind = self.cell.scenario.kind
         size = turn = 0.0
-        for (f, t), chain in truth.sights.items():
-            tips = [truth.tip_poses(joints, chain=chain)[0] for joints in (q, other)]
-            T, T_other = (truth.T_frame_base[f] @ tip @ truth.T_tip_target[t] for tip in tips)
+        here, there = (_target_poses(self.cell, joints) for joints in (q, other))
+        for T, T_other in zip(here, there, strict=True):
             size = max(size, float(np.linalg.norm(T_other[:3, 3] - T[:3, 3])))
             turn = max(turn, _angle(T_other[:3, :3] @ T[:3, :3].T))
         return size, turn if kind.orientation or kind.is_image else 0.0
+
+
+def _target_poses(cell: VirtualCell, q: Array) -> Array:
+    """Return the true pose of each target in its frame at joint values (m,), by sight, shape (k, 4, 4), read-only."""
+    truth = cell.truth
+    poses = [
+        truth.T_frame_base[f] @ truth.tip_poses(q, chain=chain)[0] @ truth.T_tip_target[t]
+        for (f, t), chain in truth.sights.items()
+    ]
+    return read_only(np.stack(poses))
 
 
 def _knock(

@@ -11,7 +11,7 @@ from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.units import UNITS
 from calib.result.calibration import Calibration
 from calib.robot.robot import Robot
-from calib.show.lines import fill, mm, plural
+from calib.show.lines import WIDTH, fill, mm, plural
 from calib.verbs.measure.state import State
 from calib.verbs.measure.stop import Answer, Finding
 from calib.verbs.simulate.operator import (
@@ -38,8 +38,8 @@ _DONE = {
     SWAPPED: "taken for each other",
     REPEATED: "the reading before once more",
     MISSED: "one pose late since stop {since}",
-    TARGET_MOVED: "the target was knocked at stop {since}",
-    BASE_MOVED: "the {name} was knocked at stop {since}",
+    TARGET_MOVED: "the target is knocked",
+    BASE_MOVED: "the {name} is knocked",
     NOT_THERE: "the robot is not there",
 }
 
@@ -66,18 +66,26 @@ def heading(robot: Robot) -> str:
 
 
 def stop_line(robot: Robot, stop: VirtualStop) -> str:
-    """Return a stop in a line: number, joint values, residual, expected error [mm], what is said, and the truth."""
+    """Return a stop in a line: number, joint values, residual, expected error [mm], what is said, and the truth.
+
+    The truth is on a line of its own if there is no room.
+    """
     answer = stop.answer
     pose = "".join(
         f"{value:{_JOINT}.1f}" for value in _shown_joints(robot, stop.measurement.joints)
     )
     error = "-" if stop.high is None else mm(stop.high)
-    said = _said(answer)
+    figures = (
+        f"{answer.stop:{_STOP}d}  {pose} {_residual(answer.residual):>{_RESIDUAL}}{error:>{_ERROR}}"
+    )
+    line = f"{figures}  {_said(answer)}".rstrip()
     true = _true(stop.measurement)
-    if true:
-        said = f"{said} (in truth: {true})"
-    line = f"{answer.stop:{_STOP}d}  {pose} {_residual(answer.residual):>{_RESIDUAL}}{error:>{_ERROR}}  {said}"
-    return line.rstrip()
+    if not true:
+        return line
+    in_truth = f"(in truth: {true})"
+    if len(line) + 1 + len(in_truth) <= WIDTH:
+        return f"{line} {in_truth}"
+    return f"{line}\n{' ' * _STOP}  {in_truth}"
 
 
 def result_lines(state: State, result: Calibration, nominal: float, true: float) -> Iterator[str]:
@@ -137,9 +145,10 @@ def _finding(finding: Finding) -> str:
 
 
 def _true(measurement: Measurement) -> str:
-    """Word the mistake that a stop has in truth; empty without."""
+    """Word the mistake that a stop has in truth; empty without one, and after something was knocked."""
     mistake = measurement.mistake
-    if mistake is None:
+    is_knock = mistake is not None and mistake.code in (TARGET_MOVED, BASE_MOVED)
+    if mistake is None or (is_knock and mistake.since < measurement.number):
         return ""
     words = _DONE[mistake.code].format(since=mistake.since, name=mistake.name)
     size = f"{mm(mistake.size, 1)} mm" if mistake.size else f"{np.degrees(mistake.turn):.2f} deg"

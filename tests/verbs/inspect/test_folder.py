@@ -209,3 +209,13 @@ def test_outputs_have_names_that_are_free(folder: Path):
     command = look_into(folder).commands[0]
     assert "corrected-2.urdf" in command
     assert "result-2.json" in command
+
+
+def test_pictures_do_not_keep_other_files_from_being_looked_at(folder: Path):
+    pictures = folder / "a"
+    pictures.mkdir()
+    for number in range(350):
+        (pictures / f"{number}.png").write_bytes(b"")
+    looked = look_into(folder)
+    assert looked.left_out == 0
+    assert found(folder) == {**BEGINNING, "a": What.PICTURES}

@@ -277,7 +277,7 @@ def noise_with(ur3, tmp_path, stated: float | None, true: float, count: int) -> 
 def test_a_stated_noise_that_the_stops_do_not_contradict_is_known(ur3, tmp_path):
     noise, freedom = noise_with(ur3, tmp_path, LENGTH, LENGTH, 20)
     assert noise == pytest.approx(1.0, abs=0.15)
-    assert freedom == pytest.approx(100.0 + 60.0 - 13.0, abs=1.0)
+    assert freedom == pytest.approx(300.0 + 60.0 - 13.0, abs=1.0)
 
 
 @pytest.mark.parametrize("times", [4.0, 0.25])

@@ -31,7 +31,7 @@ def settings(ur3) -> Settings:
 
 
 def test_what_is_written_is_read_to_the_last_bit(settings: Settings, tmp_path: Path):
-    settings.write(tmp_path, "")
+    settings.write(tmp_path)
     read = Settings.read(tmp_path)
     assert (read.aim.error, read.aim.poses) == (1.0 / 7e3, 17)
     assert read.aim.region is not None
@@ -54,7 +54,7 @@ def test_a_cell_with_surroundings_is_kept(settings: Settings, tmp_path: Path):
         boxes=(Box("table", np.array([0.5, 0.7, 0.2]), np.eye(4)),),
         ranges={settings.robot.joint_names[0]: (-1.0, 1.0)},
     )
-    replace(settings, cell=cell).write(tmp_path, "")
+    replace(settings, cell=cell).write(tmp_path)
     assert cell_table(Settings.read(tmp_path).cell) == cell_table(cell)
 
 
@@ -63,7 +63,7 @@ def test_the_file_that_was_named_is_read_again_while_it_is_the_same(settings, tm
     named.write_bytes(settings.robot.urdf.data)
     folder = tmp_path / "s"
     folder.mkdir()
-    settings.write(folder, str(named))
+    replace(settings, source=str(named)).write(folder)
     assert Settings.read(folder).robot.urdf.path == named
     named.write_bytes(settings.robot.urdf.data + b"<!-- changed -->")
     assert Settings.read(folder).robot.urdf.path == folder / ROBOT
@@ -72,16 +72,16 @@ def test_the_file_that_was_named_is_read_again_while_it_is_the_same(settings, tm
 
 
 def test_a_session_is_not_written_over(settings: Settings, tmp_path: Path):
-    settings.write(tmp_path, "")
+    settings.write(tmp_path)
     before = (tmp_path / SETTINGS).read_bytes()
     with pytest.raises(FileError):
-        settings.write(tmp_path, "")
+        settings.write(tmp_path)
     assert (tmp_path / SETTINGS).read_bytes() == before
 
 
 @pytest.mark.parametrize("key", ["cell", "aim", "seed", "start", "robot", "collisions"])
 def test_a_file_that_lacks_an_entry_is_refused(settings: Settings, tmp_path: Path, key: str):
-    settings.write(tmp_path, "")
+    settings.write(tmp_path)
     table = json.loads((tmp_path / SETTINGS).read_text())
     del table[key]
     (tmp_path / SETTINGS).write_text(json.dumps(table))

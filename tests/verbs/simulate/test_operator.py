@@ -104,6 +104,7 @@ def test_a_reading_is_the_truth_by_pinocchio_alone(points, poses, ur3, tmp_path)
             assert reading.mistake is None
             assert reading.joints == pytest.approx(q, abs=1e-12)
             assert reading.readings.points[0] == pytest.approx(T[:3, 3], abs=1e-9)
+            assert reading.T_frame_target[0] == pytest.approx(T, abs=1e-9)
             if reading.readings.rotations is not None:
                 assert reading.readings.rotations[0] == pytest.approx(T[:3, :3], abs=1e-9)
     assert poses.truth.x == pytest.approx(points.truth.x)
@@ -236,6 +237,8 @@ def test_readings_are_late_until_somebody_notices(points, ur3):
         expected = points.truth.points(q[stands.get(k, k)])[0]
         assert reading.readings.points[0] == pytest.approx(expected, abs=1e-9)
         assert reading.joints == pytest.approx(q[k])
+        right = points.truth.points(q[k])[0]
+        assert reading.T_frame_target[0, :3, 3] == pytest.approx(right, abs=1e-9)
         wrong = [(mistake.code, mistake.since) for mistake in reading.mistakes]
         assert wrong == ([(MISSED, 3)] if k >= 2 else [])
     for k, again in ((4, True), (5, False)):

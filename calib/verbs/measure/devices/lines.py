@@ -19,7 +19,7 @@ import time
 from calib.basics.tables import decoded, has_header
 from calib.errors import CalibError, DeviceError, MeasurementError
 from calib.verbs.measure.devices.reading import Context, Reading
-from calib.verbs.measure.devices.rows import bare_row, has_content, refused, row_below
+from calib.verbs.measure.devices.rows import has_content, refused, row_below, rows_of
 from calib.verbs.measure.devices.waiting import WaitingReader
 
 #: A longer line is none [bytes].
@@ -79,7 +79,8 @@ class LineRows:
         if self._header:
             row = row_below(self._header, line, self._number, self._source)
         elif self._context.columns:
-            row = bare_row(line, self._number, self._source, self._context.columns)
+            above = "\n" * (self._number - 1)  # so that a message names the line
+            (row,) = rows_of(f"{above}{line}", self._source, self._context)
         else:
             raise refused(
                 line,

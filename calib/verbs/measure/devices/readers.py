@@ -44,6 +44,9 @@ class Reader:
     words: str
     #: Opens it: from what stands after the name on the command line, perhaps empty, and from the context.
     open: Callable[[str, Context], Instrument]
+    #: True if it measures at each call of ``read``, as a camera does: it is called when the robot stands at a pose.
+    #: False if ``read`` waits for what a person, or another program, measures.
+    is_asked: bool = False
 
 
 #: The readers by name.
@@ -57,7 +60,7 @@ READERS: dict[str, Reader] = {
         "lines of an instrument, tcp:192.168.0.20:5000, or of programs of this machine, tcp:listen=5000",
         TcpReader,
     ),
-    "webcam": Reader("pictures of a camera at this machine, webcam:0", WebcamReader),
+    "webcam": Reader("pictures of a camera at this machine, webcam:0", WebcamReader, is_asked=True),
     "virtual": Reader(
         "a virtual robot with errors of a seed, to rehearse: virtual:3, or virtual:3,mistakes",
         virtual_instrument,

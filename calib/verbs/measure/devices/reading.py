@@ -10,6 +10,7 @@ from pathlib import Path
 from calib.basics.arguments import check_type
 from calib.basics.arrays import Array
 from calib.basics.frames import table_of_frame
+from calib.basics.tables import Table
 from calib.basics.units import split_header
 from calib.basics.values import ReadOnlyMapping, Value
 from calib.data.cell import Cell
@@ -100,20 +101,27 @@ class Reading(Value):
             ArgumentError: There are no rows.
             MeasurementError: They cannot be read as measurements.
         """
-        if not self.rows:
-            raise ArgumentError("This reading has no rows; its pictures are detected first.")
         added = {} if joints is None else dict(zip(context.joint_headers, joints, strict=True))
         taken = set(context.joint_names) if added else set()
-        rows = [
+        rows = tuple(
             {**added, **{h: cell for h, cell in row.items() if split_header(h)[0] not in taken}}
             for row in self.rows
-        ]
-        headers = dict.fromkeys(header for row in rows for header in row)
-        frame = {header: [_plain(row.get(header, "")) for row in rows] for header in headers}
-        table = replace(table_of_frame(frame), source=self.source or "The reading")
-        return Measurements.read(
-            table, context.joint_names, context.joint_types, columns, context.kind
         )
+        return Measurements.read(
+            replace(self, rows=rows).table(),
+            context.joint_names,
+            context.joint_types,
+            columns,
+            context.kind,
+        )
+
+    def table(self) -> Table:
+        """Return the rows as a table, whose columns are all that a row has; ArgumentError if there are no rows."""
+        if not self.rows:
+            raise ArgumentError("This reading has no rows; its pictures are detected first.")
+        headers = dict.fromkeys(header for row in self.rows for header in row)
+        frame = {header: [_plain(row.get(header, "")) for row in self.rows] for header in headers}
+        return replace(table_of_frame(frame), source=self.source or "The reading")
 
 
 def _plain(cell: str | float) -> str | float:

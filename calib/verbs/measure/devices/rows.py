@@ -48,7 +48,7 @@ class FoundRow:
 
 
 def rows_of(text: str, source: str, context: Context) -> list[FoundRow]:
-    r"""Read all rows of a text: of a table with a header, of bare numbers if their columns are known, else of a list.
+    r"""Read all rows of a text: of a table with a header, of bare numbers if their columns are known, or of a list.
 
     Args:
         text: The text, with lines that end in ``\n``.
@@ -60,13 +60,22 @@ def rows_of(text: str, source: str, context: Context) -> list[FoundRow]:
     """
     if has_header(text):
         return _table_rows(Table.parse(text, source))
-    if context.columns:
-        lines = enumerate(text.split("\n"), start=1)
-        return [
-            bare_row(line, n, source, context.columns) for n, line in lines if has_content(line)
-        ]
-    if not any(map(has_content, text.split("\n"))):
+    lines = [(n, line) for n, line in enumerate(text.split("\n"), start=1) if has_content(line)]
+    if not lines:
         return []
+    if not context.columns:
+        return _listed(text, source, context)
+    try:
+        return [bare_row(line, n, source, context.columns) for n, line in lines]
+    except MeasurementError as error:
+        try:
+            return _listed(text, source, context)  # with names, or below a title
+        except MeasurementError:
+            raise error from None
+
+
+def _listed(text: str, source: str, context: Context) -> list[FoundRow]:
+    """Read the rows of a list of points; MeasurementError if it is malformed."""
     points = _points_of(text, source, context.points_unit)
     rows = []
     for i, line in enumerate(points.lines):
@@ -254,8 +263,7 @@ class GrowingText:
 
     def _is_title(self, lines: Sequence[str], end: int) -> bool:
         """Return True if a line may stand above a list of points, which begins with its first point."""
-        is_list = not self._context.columns and not has_header("\n".join(lines[:end]))
-        return is_list and not holds_point(lines[end])
+        return not has_header("\n".join(lines[:end])) and not holds_point(lines[end])
 
     def _new(self, rows: Sequence[FoundRow]) -> list[FoundRow]:
         """Return the rows that the text did not have before, and know them from here on."""

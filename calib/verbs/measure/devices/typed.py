@@ -26,10 +26,13 @@ class TypedController:
             for name, is_length in zip(context.joint_names, slides, strict=True)
         )
         self._joints: Array | None = None
+        #: True if the joint values were typed since the last pose was proposed.
+        self.is_typed = False
 
     def propose(self, joints: Array) -> None:
         """Take the joint values of the pose that the operator drives to, shape (m,), [rad] or [m]."""
         self._joints = read_only(np.asarray(joints, dtype=np.float64))
+        self.is_typed = False
 
     def enter(self, text: str) -> None:
         """Take joint values as typed, in the units of `headers` and in their order, with decimal points or commas.
@@ -45,6 +48,7 @@ class TypedController:
         to_si = np.array([find_unit(unit).to_si for unit in units])
         values = np.array([float(row.cells[header]) for header in self.headers])
         self._joints = read_only(values * to_si)
+        self.is_typed = True
 
     def joints(self) -> Array:
         """Return the joint values that were proposed or typed last, shape (m,), [rad] or [m].

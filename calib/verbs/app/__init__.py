@@ -1,0 +1,1 @@
+"""Calibrate, check and look up in a browser, on this computer alone."""

@@ -1,0 +1,465 @@
+"""The pages of sessions: a robot is set up, measured stop by stop, and calibrated."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from calib.basics.files import write_atomically
+from calib.basics.units import LENGTH, parse_amount
+from calib.data.cell import Cell
+from calib.data.cell_chains import robot_of_cell
+from calib.errors import CalibError
+from calib.robot.urdf import known_robots, read_urdf
+from calib.show.lines import mm
+from calib.verbs.app.choices import check_no_plugins, choices_of
+from calib.verbs.app.commands import calibration_commands, cell_text
+from calib.verbs.app.desk import title_of
+from calib.verbs.app.guesses import look, look_for_session, named_robot
+from calib.verbs.app.job import CELL, Job, Kind
+from calib.verbs.app.site import Site, check_robot_name
+from calib.verbs.app.sitting import SESSION, Sitting, check_devices, is_begun
+from calib.verbs.app.sitting_page import (
+    advice_texts,
+    answer_view,
+    curve_of,
+    finding_text,
+    ghost_page,
+    pose_view,
+    stop_lines,
+)
+from calib.verbs.app.uploads import (
+    Received,
+    UploadError,
+    incoming,
+    is_picture,
+    receive_form,
+    receive_upload,
+)
+from calib.verbs.measure.aim import Aim
+from calib.verbs.measure.session import Session
+from calib.verbs.measure.settings import TABLE
+from calib.verbs.measure.state import NextPose
+
+#: Stops that a calibration needs at least.
+_FEWEST = 5
+
+#: Policy of the 3-D page, which runs its own script alone.
+_GHOST = {
+    "content-security-policy": "sandbox allow-scripts; frame-ancestors 'self'",
+    "x-frame-options": "SAMEORIGIN",
+}
+
+#: Choices of a session that its calibration gets too.
+_KEPT = ("robot", "robot_name", "xacro", "cell", "target", "noise", "serial", "model")
+
+
+class NotAddedError(CalibError):
+    """A reading was not added; the text is in the reader's language."""
+
+
+class MeasurePages:
+    """The pages of sessions."""
+
+    def __init__(self, site: Site) -> None:
+        """Show the sessions of a site."""
+        self._site = site
+
+    @property
+    def routes(self) -> list[BaseRoute]:
+        """The addresses of the pages."""
+        of_job = "/jobs/{job}"
+        return [
+            Route("/measure", self._measure, methods=["GET"]),
+            Route("/measure", self._take, methods=["POST"]),
+            Route(f"{of_job}/live", self._live),
+            Route(f"{of_job}/ghost", self._ghost),
+            Route(f"{of_job}/reading", self._reading, methods=["POST"]),
+            Route(f"{of_job}/undo", self._undo, methods=["POST"]),
+            Route(f"{of_job}/skip", self._skip, methods=["POST"]),
+            Route(f"{of_job}/note", self._note, methods=["POST"]),
+            Route(f"{of_job}/pause", self._pause, methods=["POST"]),
+            Route(f"{of_job}/finish", self._finish, methods=["POST"]),
+        ]
+
+    async def _measure(self, request: Request) -> Response:
+        """Show the sessions, and where one is begun."""
+
+        def read() -> Mapping[str, Any]:
+            """Read the sessions."""
+            jobs = [pair for pair in self._site.listed() if pair[0].kind is Kind.MEASURE]
+            return {"jobs": jobs, "robots": known_robots()}
+
+        return self._site.draw(
+            request, "measure.html.j2", "measure", **await run_in_threadpool(read)
+        )
+
+    async def _take(self, request: Request) -> Response:
+        """Make a session of a robot that was sent or named, not yet begun."""
+        with incoming(self._site.desk.folder) as folder:
+            received = await receive_upload(request, folder)
+            robot = received.fields.get("robot_name", "").strip()
+
+            def make() -> Job:
+                """Make the job."""
+                check_robot_name(robot)
+                check_no_plugins(received)
+                if not received.files and not robot:
+                    raise UploadError("No robot was chosen; send its file, or name it.")
+                title = f"session-{title_of(received.files, robot)}"
+                choices = {"robot_name": robot} if robot else {}
+                key = received.fields.get("key", "")
+                return self._site.desk.make(Kind.MEASURE, title, key, received, choices)
+
+            return self._site.to(await run_in_threadpool(make))
+
+    # Setup
+
+    async def page(self, request: Request, job: Job) -> Response:
+        """Show a session, or its setup before it is begun."""
+        if is_begun(job):
+            return await self._show(request, job)
+        return await self._setup(request, job, "")
+
+    async def _setup(self, request: Request, job: Job, error: str) -> Response:
+        """Show the setup of a session."""
+        looked = await run_in_threadpool(look_for_session, job)
+        return self._site.draw(
+            request,
+            "setup.html.j2",
+            "measure",
+            status=400 if error else 200,
+            job=job,
+            looked=looked,
+            error=error,
+            shown=[file for file in looked.files if not is_picture(file.name)],
+            pictures=0,
+        )
+
+    async def choose(self, request: Request, job: Job, form: Mapping[str, str]) -> Response:
+        """Keep what was chosen in the setup, and begin the session if that was asked for."""
+
+        def choose() -> str:
+            """Keep the choices, and begin; return what keeps it from that."""
+            if is_begun(job):
+                return ""
+            try:
+                check_robot_name(form.get("robot_name", "").strip())
+                chosen = job.with_choices(choices_of(job, form)).write()
+                if form.get("action") == "measure":
+                    self._site.sittings.start(chosen, self._begin(chosen))
+            except CalibError as error:
+                return str(error).replace(f"{job.folder}/", "")
+            return ""
+
+        error = await run_in_threadpool(choose)
+        return await self._setup(request, job, error) if error else self._site.to(job)
+
+    def _begin(self, job: Job) -> Callable[[Path], Session]:
+        """Return what starts the session of a job in a folder; it raises `CalibError`."""
+
+        def begin(folder: Path) -> Session:
+            """Start it as its setup says."""
+            looked = look_for_session(job)
+            if not looked.is_ready:
+                raise CalibError(looked.fault or "The robot is missing.")
+            check_devices(looked.value("reader"), looked.value("controller"))
+            error = None
+            if aim := looked.value("aim"):
+                error = parse_amount(aim, "aim", LENGTH, "0.1 mm")
+            poses = looked.value("poses")
+            if not (poses.isdecimal() and len(poses) < 5):
+                raise CalibError(f"'{poses}' is no number of poses; give one such as 40.")
+            cell_file = looked.value("cell")
+            if not cell_file:
+                cell_file = CELL
+                write_atomically(job.folder / CELL, cell_text(looked).encode(), overwrite=True)
+            cell = Cell.read(job.folder / cell_file)
+            arm = robot_of_cell(read_urdf(named_robot(job, looked)), cell)
+            return Session.start(
+                folder,
+                arm,
+                cell,
+                Aim(error, int(poses)),
+                collisions=looked.value("collisions") == "yes",
+            )
+
+        return begin
+
+    # Measuring
+
+    def _sitting(self, job: Job) -> Sitting:
+        """Return the open session of a job; raises `CalibError`."""
+        return self._site.sittings.start(job, self._begin(job))
+
+    async def _show(
+        self,
+        request: Request,
+        job: Job,
+        said: str = "",
+        error: str = "",
+        typed: Mapping[str, str] | None = None,
+    ) -> Response:
+        """Show a session: the next pose, and what was said of the last stop."""
+
+        def words() -> dict[str, Any]:
+            """Ask the session."""
+            return self._words(request, self._sitting(job))
+
+        shown = await run_in_threadpool(words)
+        return self._site.draw(
+            request,
+            "sitting.html.j2",
+            "measure",
+            status=409 if said or error else 200,
+            job=job,
+            said=said,
+            error=error,
+            typed=typed or {},
+            **shown,
+        )
+
+    def _words(self, request: Request, sitting: Sitting) -> dict[str, Any]:
+        """Return what the page of a session shows."""
+        t = self._site.sentences(request)
+        session = sitting.session
+        version = sitting.version  # what comes after it is shown the next time
+        pose, state, stops = session.next(), session.state, session.stops
+        sizes = {
+            name: "" if value is None else mm(value)
+            for name, value in (
+                *(("error", state.error), ("high", state.high)),
+                *(("aim", state.aim), ("nominal", state.nominal)),
+            )
+        }
+        is_placed = state.error is not None or not session.cell.estimate_frame
+        job = Job.read(sitting.folder)
+        targets = pose.targets if pose is not None else ()
+        return {
+            "live": version,
+            "paused": sitting.is_paused,
+            "fault": sitting.fault,
+            "answer": answer_view(stops[-1].answer, t) if stops else None,
+            "pose": None if pose is None else pose_view(session, pose, is_placed=is_placed),
+            "pose_id": _pose_id(session, pose),
+            "state": state,
+            "sizes": sizes,
+            "curve": curve_of(state.curve, state.aim),
+            "open": [finding_text(finding, t) for finding in state.findings],
+            "advice": list(advice_texts(state, t)),
+            "stops": list(stop_lines(stops, t)),
+            "notes": [note for note in session.notes if note not in ("pause", "resume")],
+            "targets": tuple(dict.fromkeys(targets)) or ("target",),
+            "headers": sitting.headers,
+            "reader": job.choices.get("reader", ""),
+        }
+
+    async def _live(self, request: Request) -> Response:
+        """Send what changes of a session's page, if it has changed since a version."""
+        job = self._site.job_of(request)
+
+        def words() -> dict[str, Any] | None:
+            """Ask the session; None if the page is up to date."""
+            sitting = self._sitting(job)
+            if sitting.version == request.query_params.get("v"):
+                return None
+            return self._words(request, sitting)
+
+        shown = await run_in_threadpool(words)
+        if shown is None:
+            return Response(status_code=204)
+        answer = self._site.draw(request, "live.html.j2", "", **shown)
+        answer.headers["x-version"] = shown["live"]
+        answer.headers["x-form"] = str(bool(shown["pose"]) and not shown["paused"]).lower()
+        return answer
+
+    async def _ghost(self, request: Request) -> Response:
+        """Send the 3-D page of the next pose."""
+        job = self._site.job_of(request)
+        t = self._site.sentences(request)
+
+        def page() -> bytes:
+            """Draw it."""
+            session = self._sitting(job).session
+            pose = session.next()
+            if pose is None:
+                return b""
+            return ghost_page(session, pose, (t("robot_now"), t("robot_next")))
+
+        return HTMLResponse(await run_in_threadpool(page), headers=_GHOST)
+
+    async def _reading(self, request: Request) -> Response:
+        """Add a reading that was typed."""
+        job = self._site.job_of(request)
+        form = await receive_form(request)
+        t = self._site.sentences(request)
+
+        def add() -> None:
+            """Add it, unless its form was sent before or is about another pose."""
+            sitting = self._sitting(job)
+            key = form.get("key", "")
+
+            def act() -> None:
+                """Add it."""
+                pose = sitting.session.next()
+                if form.get("pose") != _pose_id(sitting.session, pose):
+                    raise NotAddedError(t("reading_pose_changed"))
+                if sitting.is_paused:
+                    raise NotAddedError(t("paused"))
+                columns = _columns(form, sitting, lambda text: t("reading_numbers", text=text))
+                sitting.add(columns, key)
+
+            sitting.once(key, act)
+
+        try:
+            await run_in_threadpool(add)
+        except NotAddedError as error:
+            return await self._show(request, job, said=str(error), typed=form)
+        except CalibError as error:
+            return await self._show(request, job, error=str(error), typed=form)
+        return self._site.to(job)
+
+    async def _act(
+        self, request: Request, act: Callable[[Sitting, Mapping[str, str]], object]
+    ) -> Response:
+        """Do something with a session, once for each form."""
+        job = self._site.job_of(request)
+        form = await receive_form(request)
+
+        def run() -> None:
+            """Do it."""
+            sitting = self._sitting(job)
+            sitting.once(form.get("key", ""), lambda: act(sitting, form))
+
+        await run_in_threadpool(run)
+        return self._site.to(job)
+
+    async def _undo(self, request: Request) -> Response:
+        """Take the last stop back."""
+        return await self._act(request, lambda sitting, _: sitting.session.undo())
+
+    async def _skip(self, request: Request) -> Response:
+        """Leave out the pose that was shown, if it is still the next."""
+
+        def skip(sitting: Sitting, form: Mapping[str, str]) -> None:
+            """Leave it out."""
+            session = sitting.session
+            if form.get("pose") == _pose_id(session, session.next()):
+                session.skip()
+
+        return await self._act(request, skip)
+
+    async def _note(self, request: Request) -> Response:
+        """Write a note down."""
+
+        def note(sitting: Sitting, form: Mapping[str, str]) -> None:
+            """Write it."""
+            if text := form.get("note", "").strip():
+                sitting.session.note(text)
+
+        return await self._act(request, note)
+
+    async def _pause(self, request: Request) -> Response:
+        """Pause, or go on."""
+        return await self._act(
+            request, lambda sitting, form: sitting.pause(pauses=form.get("to") == "pause")
+        )
+
+    async def _finish(self, request: Request) -> Response:
+        """Calibrate by the stops that count: a job of its own, with the command that makes it."""
+        job = self._site.job_of(request)
+        form = await receive_form(request)
+        t = self._site.sentences(request)
+
+        def finish() -> Job | None:
+            """Make the job and start it; None if there are too few stops."""
+            session = self._sitting(job).session
+            if session.state.stops < _FEWEST:
+                return None
+            made = self._calibration(job, session, form.get("key", ""))
+            if made.commands:
+                return made
+            looked = look(made)
+            if not looked.is_ready:  # its page says why
+                return made
+            if not looked.value("cell"):
+                write_atomically(made.folder / CELL, cell_text(looked).encode(), overwrite=True)
+            return self._site.runs.start(made, calibration_commands(made, looked))
+
+        made = await run_in_threadpool(finish)
+        if made is None:
+            return await self._show(request, job, said=t("session_needs_more"))
+        return self._site.to(made)
+
+    def _calibration(self, job: Job, session: Session, key: str) -> Job:
+        """Make the job that calibrates by a session's table, with its robot and cell."""
+        desk = self._site.desk
+        cell = session.cell
+        choices = {name: value for name, value in job.choices.items() if name in _KEPT}
+        choices |= {
+            "table": TABLE,
+            "base": session.robot.base,
+            "tip": session.robot.tip,
+            "frame": "estimate" if cell.estimate_frame else "known",
+            "instrument": cell.instrument or "",
+        }
+        with incoming(desk.folder) as folder:
+            names = [name for name in job.inputs if (job.folder / name).is_file()]
+            for name in names:
+                (folder / name).write_bytes((job.folder / name).read_bytes())
+            (folder / TABLE).write_bytes((job.folder / SESSION / TABLE).read_bytes())
+            received = Received(folder, {}, (*names, TABLE))
+            return desk.make(Kind.CALIBRATE, job.name.partition("-")[2], key, received, choices)
+
+
+def _pose_id(session: Session, pose: NextPose | None) -> str:
+    """Return what tells a proposed pose from another one, and from the same one at another stop."""
+    if pose is None:
+        return ""
+    data = f"{len(session.stops)} {[round(value, 9) for value in pose.joints.tolist()]}"
+    return hashlib.sha256(data.encode()).hexdigest()[:16]
+
+
+def _columns(
+    form: Mapping[str, str], sitting: Sitting, fault: Callable[[str], str]
+) -> dict[str, Any]:
+    """Return what was typed as columns, with joint values if they were typed too; NotAddedError for what is none."""
+
+    def decimal(text: str) -> float:
+        """Return a number with a decimal point or comma."""
+        try:
+            return float(text.strip().replace(",", "."))
+        except ValueError as error:
+            raise NotAddedError(fault(text)) from error
+
+    rows: dict[str, dict[str, float]] = {}
+    for name, text in form.items():
+        kind, _, rest = name.partition(":")
+        target, _, header = rest.rpartition(":")
+        if kind == "value" and header in sitting.headers and text.strip():
+            rows.setdefault(target, {})[header] = decimal(text)
+    for row in rows.values():
+        if len(row) != len(sitting.headers):
+            raise NotAddedError(fault(""))
+    if not rows:
+        raise NotAddedError(fault(""))
+    columns: dict[str, Any] = {
+        header: [row[header] for row in rows.values()] for header in sitting.headers
+    }
+    if len(rows) > 1 or len(sitting.session.cell.targets) > 1:
+        columns["target"] = list(rows)
+    if typed := form.get("joints", "").split():
+        robot = sitting.session.robot
+        if len(typed) != len(robot.joint_names):
+            raise NotAddedError(fault(" ".join(typed)))
+        for name, text in zip(robot.joint_names, typed, strict=True):
+            header = f"{name} [{'mm' if robot.joint_types[name] == 'prismatic' else 'deg'}]"
+            columns[header] = [decimal(text)] * len(rows)
+    return columns

@@ -1,0 +1,395 @@
+"""A session in words, for `calib measure`: the next pose, the answer to a stop, what to do, and how it ends.
+
+Each text is made of lines with the style that a terminal gives them, see `calib.cli.terminal.say_lines`.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from calib.basics.channels import RESIDUAL_UNITS
+from calib.robot.robot import Robot
+from calib.show.lines import fill, number, plural, row_ranges
+from calib.show.words import joint_unit, shown
+from calib.verbs.measure.session import Session
+from calib.verbs.measure.state import Advice, NextPose, State
+from calib.verbs.measure.stop import Answer, Finding
+
+#: A line and its style.
+Line = tuple[str, str]
+
+#: Styles: of what counts, of what does not, of what should be looked at, of what is to be read from afar, and of hints.
+GOOD, BAD, LOOK, LARGE, DIM = "bold green", "bold red", "yellow", "bold", "dim"
+
+#: Indent of what belongs to a line.
+_INDENT = "  "
+
+#: Columns of a joint value.
+_VALUE = 11
+
+#: Of a range whose ends differ by this factor, the lower one is not shown.
+_WIDE = 2
+
+#: Digits of joint values, 0.001 deg and 0.001 mm, and of places.
+_DIGITS, _PLACE = 3, 1
+
+#: The commands, with what they do.
+COMMANDS: Mapping[str, str] = {
+    "undo": "take the last stop back",
+    "again": "take the last stop back, and measure its pose again",
+    "skip": "the proposed pose cannot be reached: propose another one",
+    "at J1 J2 ...": "the robot stands at these joint values, and not at the proposed ones",
+    "enough": "a target cannot be seen here: take what was measured",
+    "note TEXT": "write a remark into the session's journal",
+    "state": "how accurate it is so far, and what would help",
+    "done": "end the session, and calibrate if files are named, such as by -o",
+    "quit": "leave, and go on later",
+    "help": "these lines",
+}
+
+
+def opening_lines(session: Session, *, goes_on: bool) -> Iterator[Line]:
+    """Yield what a session begins with: robot, aim, and where it is kept.
+
+    Args:
+        session: The session.
+        goes_on: Whether it was begun earlier.
+    """
+    state = session.state
+    begun = "goes on" if goes_on else "begins"
+    robot = session.robot
+    counted = f" with {plural(state.stops, 'stop')}" if goes_on else ""
+    yield (
+        f"The session in '{session.folder}' {begun}{counted}: robot '{robot.name}', "
+        f"{robot.base} to {robot.tip}.",
+        LARGE,
+    )
+    aim = session.aim
+    where = "over the joint ranges" if aim.region is None else "over the region"
+    what = f"the accuracy that {aim.poses} poses at random would give" if aim.error is None else ""
+    size = f"{_size(state.aim)} rms {where}, with a probability of 95 %"
+    yield fill(f"The aim is {f'{what}, {size}' if what else size}."), ""
+    if session.torn:
+        yield (
+            fill(
+                "The last line of the journal was not complete, since the program was ended while it wrote it; it was "
+                "left out. Measure that stop again."
+            ),
+            LOOK,
+        )
+
+
+def hint_line(*, has_instrument: bool) -> Line:
+    """Return what a person is told to do, once."""
+    if has_instrument:
+        return "Drive to each pose and measure there. Commands can be typed at any time: help.", DIM
+    return "Drive to each pose, type what the instrument shows, and Enter. Commands: help.", DIM
+
+
+def pose_lines(session: Session, pose: NextPose, state: State) -> Iterator[Line]:
+    """Yield the next pose: its title, the joint values in a column, where targets are then, and why it is next."""
+    yield "", ""
+    yield _title(session, pose, state), LARGE
+    yield from _joint_lines(session.robot, pose)
+    known = state.error is not None or not session.cell.estimate_frame
+    frame = "the instrument's frame" if session.cell.estimate_frame else "the measurement frame"
+    names = pose.targets if len(set(pose.targets)) > 1 else [""] * len(pose.targets)
+    for name, place in zip(names, pose.expected.tolist(), strict=False):
+        if known and np.isfinite(place).all():
+            x, y, z = (number(1e3 * value, _PLACE) for value in place)
+            who = f"target '{name}'" if name else "the target"
+            yield f"{_INDENT}{who} will be near ({x}, {y}, {z}) mm in {frame}", DIM
+    if pose.via is not None:
+        text = "Drive to the pose of the column 'first' before, so that each joint arrives from the right side."
+        yield fill(text, _INDENT), DIM
+    if pose.error is not None and math.isfinite(pose.error):
+        yield f"{_INDENT}with it the error is expected to be at most {_size(pose.error)}", DIM
+
+
+def _title(session: Session, pose: NextPose, state: State) -> str:
+    """Return the title of a pose: the number of its stop, how many are needed in all, and why it is next."""
+    title = f"Stop {len(session.stops) + 1}"
+    if pose.stop is not None:
+        why = "is far off by now" if pose.why == "outlier" else "is to be measured again"
+        return f"{title}: stop {pose.stop} {why}; the same pose"
+    if state.needed is not None and not state.reached:
+        title += f" of {_about(*(len(session.stops) + n for n in state.needed))}"
+    return f"{title}: drive the robot to"
+
+
+def _joint_lines(robot: Robot, pose: NextPose) -> Iterator[Line]:
+    """Yield the joint values of a pose in a column, with those of the place before it."""
+    slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
+    width = max(map(len, robot.joint_names))
+    if pose.via is not None:
+        yield f"{_INDENT}{'':<{width}}{'first':>{_VALUE}}{'then':>{_VALUE}}", DIM
+    for k, (name, is_length) in enumerate(zip(robot.joint_names, slides, strict=True)):
+        factor, unit = joint_unit(prismatic=is_length)
+        columns = [pose.joints] if pose.via is None else [pose.via, pose.joints]
+        values = "".join(f"{number(factor * q[k], _DIGITS):>{_VALUE}}" for q in columns)
+        yield f"{_INDENT}{name:<{width}}{values} {unit}", LARGE
+
+
+def prompt(headers: Sequence[str], target: str) -> str:
+    """Return what stands before a row that is typed, ``"x y z [mm]> "``, after the target's name if it is given."""
+    units: dict[str, list[str]] = {}
+    for header in headers:
+        name, _, unit = header.partition(" [")
+        units.setdefault(unit.rstrip("]"), []).append(name)
+    parts = [
+        f"{' '.join(names)} [{unit}]" if unit else " ".join(names) for unit, names in units.items()
+    ]
+    who = f"{target}: " if target else ""
+    return f"{_INDENT}{who}{', '.join(parts)}> "
+
+
+def waiting_line(source: str, missing: Sequence[str], *, waits_for_go: bool) -> Line:
+    """Return the line that says what is waited for.
+
+    Args:
+        source: The instrument, as ``--reader`` names it.
+        missing: Targets or cameras that are still to be measured, if there are several.
+        waits_for_go: Whether the instrument is asked when a person says so.
+    """
+    if waits_for_go:
+        what = f"Press Enter when the robot stands there; then '{source}' measures."
+    elif len(missing) > 1:
+        what = f"Measure {', '.join(missing)} there; waiting for '{source}'."
+    else:
+        what = f"Measure there; waiting for '{source}'."
+    return f"{_INDENT}{what}", DIM
+
+
+def late_line(count: int) -> Line:
+    """Return the line on readings that came before the pose was shown."""
+    came = (
+        "A reading came before this pose was shown; it was"
+        if count == 1
+        else (f"{count} readings came before this pose was shown; they were")
+    )
+    return f"{_INDENT}{came} left out. Measure here.", LOOK
+
+
+def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
+    """Yield the answer to a stop: in a line whether it counts, how far it is off, and the error; then what to do."""
+    off = _sizes(answer.residual)
+    if answer.outcome == "good":
+        usual = f" (usual: {_sizes(answer.usual)})" if answer.usual else ""
+        words, style = f"good | off by {off}{usual}", GOOD
+    elif answer.outcome == "again":
+        words, style = "NOT GOOD, it does not count", BAD
+        words += f" | off by {off}" if off else ""
+    else:
+        words, style = "taken | too few stops to check it", ""
+    if answer.outcome != "again":
+        words += f" | {error_text(state)}"
+    yield f"Stop {answer.stop}: {words}", style
+    for finding in answer.findings:
+        yield (
+            fill(finding_text(robot, finding), _INDENT),
+            BAD if answer.outcome == "again" else LOOK,
+        )
+    if answer.outcome == "again" and not answer.findings:
+        advice = "Look at target, instrument and joint values, and measure it again."
+        yield fill(advice, _INDENT), BAD
+
+
+def error_text(state: State) -> str:
+    """Return the expected error beside the aim, and how many poses are still needed."""
+    if state.error is None or state.high is None:
+        return "its error is not known yet"
+    text = f"error at most {_size(state.high)}, aim {_size(state.aim)}"
+    return text if state.reached else f"{text}, {needed_text(state)}"
+
+
+def needed_text(state: State) -> str:
+    """Return how many poses are still needed."""
+    if state.needed is None:
+        return "many poses to go"
+    least, most = state.needed
+    return f"{_about(least, most)} {'pose' if most == 1 else 'poses'} to go"
+
+
+def _about(least: int, most: int) -> str:
+    """Return a range of numbers; of a wide one the largest alone tells something."""
+    if least == most:
+        return f"about {most}"
+    return f"about {least} to {most}" if most < _WIDE * least else f"up to {most}"
+
+
+def _sizes(sizes: Mapping[str, float]) -> str:
+    """Write residuals with their units."""
+    return ", ".join(_size(size, unit) for unit, size in sizes.items())
+
+
+def _size(value: float, unit: str = "m") -> str:
+    """Write the size of an error with its unit: a large one with fewer digits than errors have."""
+    of_unit = RESIDUAL_UNITS[unit]
+    large = sum(of_unit.to_shown * value >= limit for limit in (1.0, 10.0, 100.0))
+    return f"{shown(value, unit, max(of_unit.digits - large, 0))} {of_unit.shown}"
+
+
+def finding_text(robot: Robot, finding: Finding) -> str:
+    """Return what may be wrong, and what to do."""
+    values, name = finding.values, finding.name
+    since = row_ranges(finding.stops[:1])
+    stop = values.get("stop", 0.0)
+    match finding.code:
+        case "gross":
+            off = [(f"off_{unit}", unit) for unit in RESIDUAL_UNITS]
+            size = ", ".join(_size(values[key], unit) for key, unit in off if key in values)
+            far = f" by {size}" if size else ""
+            return (
+                f"The reading of stop {since} is far off{far}: was the target loose, turned away or another one, or "
+                "the robot still moving? Measure it again."
+            )
+        case "swapped":
+            what = f" ({name})" if name else ""
+            return (
+                f"Coordinates or targets are taken for each other{what}: in another order the reading fits. Check the "
+                "order of columns and the names of targets, and measure it again."
+            )
+        case "repeated":
+            return (
+                f"This is the reading of stop {stop:.0f} once more: the instrument has not measured anew, or the robot "
+                "has not moved. Measure it again."
+            )
+        case "not_there":
+            return _not_there(robot, finding)
+        case "target_moved":
+            who = f"The target '{name}'" if name else "The target"
+            return (
+                f"{who} sits elsewhere since stop {since}. That costs no stop: those since then count with its new "
+                "place. Look why it moved, and fasten it."
+            )
+        case "base_moved":
+            return (
+                f"The robot's base or the instrument stands elsewhere since stop {since}. That costs no stop: those "
+                "since then count with the new place. Look why it moved, and fasten it."
+            )
+        case "something_moved":
+            return (
+                f"Target, base or instrument has moved since stop {since}; the next stops tell which. That costs no "
+                "stop. Look why it moved, and fasten it."
+            )
+
+
+def _not_there(robot: Robot, finding: Finding) -> str:
+    """Return the text of a reading that fits another pose."""
+    if finding.name and "change" in finding.values:
+        is_length = robot.joint_types[finding.name] == "prismatic"
+        factor, unit = joint_unit(prismatic=is_length)
+        change = number(factor * finding.values["change"], 2, sign="+")
+        return (
+            f"The reading fits if '{finding.name}' is {change} {unit} from its value: was that typed wrongly, or is "
+            "the robot not there? Type 'at' and the joint values of the controller, and measure it again."
+        )
+    return (
+        "The reading fits another pose: the robot is not where it was sent, or the reading was made too early. Check "
+        "where it stands, and measure it again."
+    )
+
+
+def state_lines(robot: Robot, state: State) -> Iterator[Line]:
+    """Yield what is known after the stops so far, and what would help."""
+    yield f"{plural(state.stops, 'stop')} of {state.measured} measured count.", LARGE
+    if state.error is not None and state.low is not None and state.high is not None:
+        yield (
+            fill(
+                f"Expected error of the calibrated robot: {_size(state.error)}, from {_size(state.low)} to "
+                f"{_size(state.high)} (90 %); aim {_size(state.aim)}, "
+                f"{'reached' if state.reached else needed_text(state)}."
+            ),
+            GOOD if state.reached else "",
+        )
+    else:
+        yield f"Expected error: not known yet; aim {_size(state.aim)}.", ""
+    if state.nominal is not None:
+        yield f"Error of the nominal robot, as the stops show it: {_size(state.nominal)}.", ""
+    if state.sigma:
+        yield f"Noise of one reading: {_sizes(state.sigma)}.", ""
+    for finding in state.findings:
+        yield fill(finding_text(robot, finding)), LOOK
+    for advice in state.advice:
+        yield fill(advice_text(advice)), ""
+
+
+def advice_text(advice: Advice) -> str:
+    """Return what would help."""
+    values = advice.values
+    match advice.code:
+        case "joint":
+            return (
+                f"What is left is mostly the joint '{advice.name}' ({100.0 * values['share']:.0f} % of the square): "
+                "poses in which it moves far help most; look whether its range is narrowed."
+            )
+        case "region":
+            place = ", ".join(number(1e3 * values[f"{axis}_m"], 0) for axis in "xyz")
+            return (
+                f"Around ({place}) mm the error is {number(values['ratio'], 1)} times the mean: poses that reach there "
+                "help; look whether boxes or ranges keep the robot away."
+            )
+        case "second_target":
+            return (
+                "A second target on the hand, away from the first one, would show the wrist better. That is another "
+                "session: name both in its cell."
+            )
+        case "length":
+            return (
+                f"The scale is {100.0 * values['share']:.0f} % of what is left: measure the board with a ruler, calib "
+                "board --measured, and state how well it is known."
+            )
+        case "noise":
+            return (
+                f"The readings scatter {number(values['factor'], 1)} times as much as stated, or as usual if "
+                "nothing is stated: look at the instrument, the mount of the target, and whether the robot has settled."
+            )
+        case "lost_motion":
+            return "Poses that are approached from both sides would show lost motion."
+
+
+def reached_lines(*, can_type: bool, is_checked: bool) -> Iterator[Line]:
+    """Yield what is said when the aim is reached.
+
+    Args:
+        can_type: Whether a person can go on.
+        is_checked: Whether a stop could be checked by the others.
+    """
+    yield "The aim is reached.", GOOD
+    if not is_checked:
+        text = (
+            "No stop could be checked by the others so far, so a wrong reading would not show: two or three more stops "
+            "are worth their time."
+        )
+        yield fill(text, _INDENT), LOOK
+    if can_type:
+        yield f"{_INDENT}'done' ends the session; further stops make it better still.", ""
+
+
+def help_lines(*, several: bool) -> Iterator[Line]:
+    """Yield the commands; ``several``: a stop has several targets."""
+    shown_commands = {k: v for k, v in COMMANDS.items() if several or k != "enough"}
+    width = max(map(len, shown_commands))
+    for command, what in shown_commands.items():
+        yield f"{_INDENT}{command:<{width}}  {what}", ""
+
+
+def kept_text(folder: str, stops: int, command: str) -> str:
+    """Return what is said when a session is left: what is kept, and how it goes on."""
+    kept = f"All {plural(stops, 'stop')}" if stops > 1 else plural(stops, "stop")
+    return f"{kept} {'are' if stops != 1 else 'is'} kept in '{folder}'. Go on with: {command}"
+
+
+def calibrate_command(robot: str, table: str, cell: str) -> str:
+    """Return the command that calibrates the robot by a session's files."""
+    outputs = ("-o", "corrected.urdf", "--json", "result.json", "--report", "report.html")
+    return shlex.join(["calib", "calibrate", robot, table, "--cell", cell, *outputs])
+
+
+def joined(lines: Iterable[Line]) -> str:
+    """Return lines without their styles."""
+    return "\n".join(text for text, _ in lines)
