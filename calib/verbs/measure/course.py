@@ -108,6 +108,8 @@ class Course:
     fit: RunningFit | None = None
     #: Candidates that were skipped
     skipped: tuple[int, ...] = ()
+    #: Number of the stop that is not measured again, because it was skipped
+    left: int = 0
     #: The design of the row before
     planned: tuple[int, ...] = ()
     #: Expected error after each number of stops
@@ -279,6 +281,8 @@ class Course:
         if not self.stops or self.stops[-1].answer.outcome != "again" or self.stops[-1].counts:
             return None
         last = self.stops[-1]
+        if last.number == self.left:
+            return None
         return last if len(self._tries(last.row.joints)) < _TRIES else None
 
     def _tries(self, joints: Array) -> list[Stop]:
@@ -544,16 +548,18 @@ class Course:
         assert self.before is not None
         return replace(self.before, skipped=self.skipped)
 
-    def with_skipped(self, candidate: int, planned: tuple[int, ...] | None) -> Course:
-        """Return the course without a candidate, which cannot be reached.
+    def with_skipped(self, joints: Array, planned: tuple[int, ...] | None) -> Course:
+        """Return the course without a pose that cannot be reached, from neither side; nor is it measured again.
 
         Args:
-            candidate: Its index.
+            joints: Its joint values, shape (m,) [rad] or [m].
             planned: The design by which it was proposed; None: by none.
         """
+        same = np.abs(self.design.joints - joints).max(axis=1) <= SAME_POSE
         return replace(
             self,
-            skipped=(*self.skipped, candidate),
+            skipped=(*self.skipped, *np.flatnonzero(same).tolist()),
+            left=0 if self.repeated is None else self.repeated.number,
             planned=self.planned if planned is None else planned,
         )
 

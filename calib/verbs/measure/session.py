@@ -362,17 +362,15 @@ class Session:
             pose = self.next()
             if pose is None:
                 return
-            candidate = _nearest(self._course, pose.joints)
             event = {
                 "event": "skip",
                 "time": date_text(now()),
                 "joints": pose.joints,
-                "candidate": candidate,
                 "planned": self._planned,
                 "note": note,
             }
             self._journal.append(event)
-            self._course = self._course.with_skipped(candidate, self._planned)
+            self._course = self._course.with_skipped(pose.joints, self._planned)
             self._proposed = None
 
     def note(self, text: str) -> None:
@@ -574,7 +572,9 @@ class Session:
                 self._course = self._course.without_last()
                 self._forget(event["stop"])
             elif kind == "skip":
-                self._course = self._course.with_skipped(event["candidate"], _design_of(event))
+                self._course = self._course.with_skipped(
+                    np.array(event["joints"]), _design_of(event)
+                )
         self._course = self._course.refitted()
         if pending is not None:
             self._added(pending)
@@ -652,11 +652,6 @@ def _joint_columns(robot: Robot, q: Array, count: int) -> dict[str, list[float]]
         else:
             columns[f"{name} [rad]"] = [value] * count
     return columns
-
-
-def _nearest(course: Course, joints: Array) -> int:
-    """Return the candidate at joint values (m,), or nearest to them."""
-    return int(np.argmin(np.abs(course.design.joints - joints).max(axis=1)))
 
 
 def _via(row: Row) -> Array | None:

@@ -363,6 +363,24 @@ def test_a_skipped_pose_does_not_come_again(empty):
         assert shown(session) == last
 
 
+def test_a_pose_that_is_to_be_measured_again_is_skipped(folder, virtual):
+    with Session.open(folder) as session:
+        row = reading(virtual, session)
+        off = replace(row.readings, points=row.readings.points + 5e-3)
+        assert session.add(replace(row, readings=off)).outcome == "again"
+        again = session.next()
+        assert again is not None
+        assert (again.why, again.stop) == ("again", STOPS + 1)
+        assert again.joints == pytest.approx(row.joints)
+        session.skip()
+        other = session.next()
+        assert other is not None
+        assert other.why == "information"
+        last = shown(session)
+    with Session.open(folder) as session:
+        assert shown(session) == last
+
+
 def test_the_pose_is_the_same_until_something_happens(empty):
     with Session.open(empty) as session:
         first = session.next()
@@ -495,6 +513,7 @@ from calib.verbs.measure.stop import Row
 from tests.verbs.measure.sessions import points_cell, readings_at, virtual_cell
 with calib.Session.open(sys.argv[1]) as session:
     virtual = virtual_cell(session.robot, points_cell())
+    print("open", flush=True)
     while True:
         number = len(session.stops) + 1
         q = session.next().joints
@@ -624,6 +643,15 @@ def test_an_aim_of_random_poses_and_a_region(virtual, tmp_path):
 def test_a_model_with_lost_motion_is_approached_from_both_sides(ur3, tmp_path):
     cell = points_cell("zeros+lost_motion")
     session, state, answers = usual(ur3, cell, tmp_path / "s", 20, Aim(error=1.5e-4))
+    virtual = Scenario(ur3, cell, "zeros+lost_motion").draw(3)
+    with started(virtual, tmp_path / "t") as other:
+        pose = other.next()
+        assert pose is not None
+        assert pose.via is not None
+        other.skip()
+        following = other.next()
+        assert following is not None
+        assert np.abs(following.joints - pose.joints).max() > 1e-3
     sides = {tuple(np.sign(stop.row.moves)) for stop in session.stops if stop.row.moves is not None}
     assert len(sides) == 2
     assert all(stop.row.moves is not None for stop in session.stops)
