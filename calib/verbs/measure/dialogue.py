@@ -51,11 +51,16 @@ class Keyboard:
     def __init__(self) -> None:
         """Begin to read."""
         self._lines: queue.Queue[str | None] = queue.Queue()
-        #: False when standard input has ended: nobody types any more.
+        #: False when standard input has ended, or is none: nobody types any more.
+        self.is_open = False
+        self.is_terminal = False
+        try:
+            # A read of Python's own buffer would hold its lock when the program ends.
+            descriptor = sys.stdin.fileno()
+            self.is_terminal = sys.stdin.isatty()
+        except (AttributeError, OSError, ValueError):
+            return
         self.is_open = True
-        self.is_terminal = sys.stdin.isatty()
-        # A read of Python's own buffer would hold its lock when the program ends.
-        descriptor = sys.stdin.fileno()
         threading.Thread(target=self._pump, args=(descriptor,), daemon=True).start()
 
     def _pump(self, descriptor: int) -> None:

@@ -327,8 +327,10 @@ class Session:
             )
             # As it is read again, to the last bit.
             added = self._row_event(event)
+            # First what follows from it: a row that cannot be judged is not kept.
+            judged = self._judged(added)
             self._journal.append(event)
-            return self._added(added)
+            return self._added(added, judged)
 
     def undo(self, note: str = "") -> int | None:
         """Take the last stop back.
@@ -510,9 +512,13 @@ class Session:
                 f"The reading is of the target '{name}'; those of the cell are {', '.join(setup.targets)}."
             )
 
-    def _added(self, added: _Added) -> Answer:
+    def _judged(self, added: _Added) -> tuple[Course, Answer]:
+        """Return the course with a row, and the answer to it."""
+        return self._course.with_row(added.row, added.proposed, added.planned)
+
+    def _added(self, added: _Added, judged: tuple[Course, Answer]) -> Answer:
         """Add a row that the journal has, and keep what is said of it."""
-        course, answer = self._course.with_row(added.row, added.proposed, added.planned)
+        course, answer = judged
         self._course = course
         self._proposed = None
         if added.key:
@@ -577,7 +583,7 @@ class Session:
                 )
         self._course = self._course.refitted()
         if pending is not None:
-            self._added(pending)
+            self._added(pending, self._judged(pending))
         else:
             self._write_table()
 

@@ -369,11 +369,19 @@ class Station:
         group, target = str(cells.get("group", "")), str(cells.get("target", ""))
         if target and group:
             return group, target
+        names = {name for _, name in self._wanted}
+        if target and target not in names and (len(names) > 1 or self.session.cell.targets):
+            known = choices(sorted(names))
+            raise MeasurementError(
+                f"The reading is of the target '{target}'; those of the cell are {known}. It is left out."
+            )
         fitting = [
-            sight for sight in self._wanted if group in ("", sight[0]) and target in ("", sight[1])
+            sight
+            for sight in self._wanted
+            if group in ("", sight[0]) and (target in ("", sight[1]) or target not in names)
         ]
-        if not fitting:  # the session says what is wrong with the name
-            return group, target or self._wanted[0][1]
+        if not fitting:  # of a station that the session does not know, which it says
+            return group, target
         return next((sight for sight in fitting if sight not in collected), fitting[-1])
 
     def _row(self, stop: _Stop) -> Row:

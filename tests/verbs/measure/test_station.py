@@ -146,21 +146,29 @@ def test_a_target_that_cannot_be_seen_is_left_out(two):
         assert two.add(station.read(0.0)).stop == 2
 
 
-def test_a_row_that_the_fit_refuses_is_not_kept_and_the_session_goes_on(ur3, tmp_path):
+def test_a_target_that_the_cell_does_not_name_is_refused_and_nothing_is_kept(ur3, tmp_path):
     one = replace(CELL, targets={"A": np.full(3, 0.05)})
-    header, row = "x [mm],y [mm],z [mm],target", "812,13,14,{}"
     with session_of(ur3, tmp_path / "one", one) as session, Station(session) as station:
-        for name in "BA":
-            station.propose()
-            station.enter(header)
-            station.enter(row.format(name))
-            if name == "B":
-                with pytest.raises(CalibError, match="the cell says where 'A' is"):
-                    session.add(station.read(0.0))
-                assert session.events == ()
+        station.propose()
+        station.enter("x [mm],y [mm],z [mm],target")
+        station.enter("812,13,14,B")
+        with pytest.raises(MeasurementError, match="the target 'B'; those of the cell are 'A'"):
+            station.read(0.0)
+        with pytest.raises(CalibError, match="the cell says where 'A' is"):
+            session.add({"x [mm]": 812.0, "y [mm]": 13.0, "z [mm]": 14.0, "target": "B"})
+        assert session.events == ()
+        station.enter("812,13,14,A")
         session.add(station.read(0.0))
     with Session.open(tmp_path / "one") as session:
         assert len(session.stops) == 1
+
+
+def test_the_only_target_may_have_any_name(session):
+    with Station(session) as station:
+        station.propose()
+        station.enter("x [mm],y [mm],z [mm],target")
+        station.enter("812,13,14,SMR")
+        assert session.add(station.read(0.0)).stop == 1
 
 
 def test_readings_of_earlier_poses_are_left_out(session, tmp_path, ur3):
