@@ -154,7 +154,7 @@ class Session:
             if len(start)
             else ()
         )
-        settings = Settings(arm, known, aim, seed, collisions, at)
+        settings = Settings(arm, known, aim, seed, collisions, at, _name_of(robot))
         course = _course_of(settings, progress)
         try:
             place.mkdir(parents=True, exist_ok=True)
@@ -164,7 +164,7 @@ class Session:
             raise FileError(f"'{place / TABLE}' exists: choose another folder for the session.")
         journal = Journal.create(place / JOURNAL)
         try:
-            settings.write(place, _name_of(robot))
+            settings.write(place)
         except BaseException:
             journal.close()
             (place / JOURNAL).unlink(missing_ok=True)
@@ -241,7 +241,7 @@ class Session:
     @property
     def robot_file(self) -> str:
         """The robot as `calib.calibrate` takes it: the path or the name it was started with, or the folder's copy."""
-        return robot_file(self.folder, self.robot)
+        return robot_file(self._settings, self.folder)
 
     @property
     def torn(self) -> str:

@@ -52,13 +52,14 @@ class Settings(Value):
     collisions: bool
     #: Shape (m,), joint values before the first pose [rad] or [m]; empty: any pose may be the first
     start: tuple[float, ...] = ()
+    #: The robot as it was named, by an absolute path or a name; empty: it was given in memory
+    source: str = ""
 
-    def write(self, folder: Path, source: str) -> None:
+    def write(self, folder: Path) -> None:
         """Write the settings and a copy of the robot into a folder.
 
         Args:
             folder: A folder without a session.
-            source: The robot as it was named; empty: it was given in memory.
 
         Raises:
             FileError: A file exists, or cannot be written.
@@ -69,7 +70,7 @@ class Settings(Value):
             "schema": SCHEMA,
             "calib": __version__,
             "time": date_text(now()),
-            "robot": source,
+            "robot": self.source,
             "robot_sha256": urdf.sha256,
             "cell": cell_table(self.cell),
             "aim": {
@@ -115,15 +116,16 @@ class Settings(Value):
                 seed=int(table["seed"]),
                 collisions=bool(table["collisions"]),
                 start=tuple(table["start"]),
+                source=str(table["robot"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FileError(f"{path}: {damage(error)}. Start another session.") from error
 
 
-def robot_file(folder: Path, robot: Robot) -> str:
-    """Return the robot of a session as commands take it: as it was named if that is still the same, else its copy."""
-    named = str(read_json(folder / SETTINGS, "session", SCHEMA, "").get("robot") or "")
-    return str(folder / ROBOT) if _named(named, robot.urdf.sha256) is None else named
+def robot_file(settings: Settings, folder: Path) -> str:
+    """Return the robot as commands take it: as it was named if that is still the same, else its copy in the folder."""
+    named = _named(settings.source, settings.robot.urdf.sha256)
+    return str(folder / ROBOT) if named is None else settings.source
 
 
 def cell_of_robot(cell: Cell, robot: Robot) -> Cell:
