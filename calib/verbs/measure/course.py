@@ -57,6 +57,9 @@ _TRIES = 3
 #: Stops among which one that contradicts most others is wrong.
 _FEWEST_JUDGES = 4
 
+#: Stops that were found good before the aim is reached: without any a wrong reading would not have shown.
+_CHECKED = 2
+
 #: The most explanations that are found at a stop.
 _AT_ONCE = 3
 
@@ -270,8 +273,11 @@ class Course:
 
     @property
     def reached(self) -> bool:
-        """Whether the aim is reached."""
-        return self.expected is not None and self.expected.high <= self.aim
+        """Whether the aim is reached: by what is expected, with stops that check each other, and nothing undecided."""
+        if self.expected is None or self.expected.high > self.aim:
+            return False
+        good = sum(stop.answer.outcome == "good" for stop in self.counted)
+        return good >= _CHECKED and all(broken.is_decided for broken in self.breaks)
 
     # What is next
 

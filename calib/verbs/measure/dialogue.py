@@ -127,8 +127,7 @@ class Dialogue:
             state = self._session.state
             if state.reached and not self._has_said_reached:
                 can_go_on = self._can_type and not self._stops_at_aim
-                is_checked = any(stop.answer.outcome == "good" for stop in self._session.stops)
-                say_lines(reached_lines(can_type=can_go_on, is_checked=is_checked))
+                say_lines(reached_lines(can_type=can_go_on))
                 self._has_said_reached = True
             if state.reached and (self._stops_at_aim or not self._can_type):
                 return True

@@ -357,20 +357,9 @@ def advice_text(advice: Advice) -> str:
             return "Poses that are approached from both sides would show lost motion."
 
 
-def reached_lines(*, can_type: bool, is_checked: bool) -> Iterator[Line]:
-    """Yield what is said when the aim is reached.
-
-    Args:
-        can_type: Whether a person can go on.
-        is_checked: Whether a stop could be checked by the others.
-    """
+def reached_lines(*, can_type: bool) -> Iterator[Line]:
+    """Yield what is said when the aim is reached; ``can_type``: a person can go on."""
     yield "The aim is reached.", GOOD
-    if not is_checked:
-        text = (
-            "No stop could be checked by the others so far, so a wrong reading would not show: two or three more stops "
-            "are worth their time."
-        )
-        yield fill(text, _INDENT), LOOK
     if can_type:
         yield f"{_INDENT}'done' ends the session; further stops make it better still.", ""
 
