@@ -9,6 +9,7 @@ import pytest
 
 from calib.data.measurements import Measurements
 from calib.verbs.measure.aim import Aim
+from calib.verbs.measure.breaks import Break
 from calib.verbs.measure.course import Course
 from calib.verbs.measure.session import Session
 from calib.verbs.measure.stop import Answer, Row
@@ -296,3 +297,16 @@ def test_an_assumed_noise_soon_does_not_count(ur3, tmp_path):
     square = (4.0 * assumed**2 + 47.0 * LENGTH**2) / 51.0
     assert noise * assumed == pytest.approx(np.sqrt(square), rel=0.25)
     assert freedom == pytest.approx(51.0, abs=1.0)
+
+
+def test_an_aim_is_not_reached_before_stops_check_each_other(empty, virtual):
+    course = with_rows(empty, good_readings(virtual, 16))
+    assert course.expected is not None
+    wide = replace(course, error=10.0 * course.expected.high)
+    assert wide.reached
+    alone = tuple(
+        replace(stop, answer=replace(stop.answer, outcome="unknown")) for stop in wide.stops
+    )
+    assert not replace(wide, stops=alone).reached
+    undecided = Break(16, "target", "", np.eye(4), np.eye(4))
+    assert not replace(wide, breaks=(undecided,)).reached

@@ -130,10 +130,9 @@ def test_poses_to_go():
         assert error_text(replace(STATE, needed=needed)).endswith(words)
 
 
-def test_an_aim_that_is_reached_before_stops_check_each_other_is_said():
+def test_an_aim_that_is_reached_is_said():
     assert joined(reached_lines(can_type=False)) == "The aim is reached."
     assert "'done'" in joined(reached_lines(can_type=True))
-
 
 
 def test_the_state():
