@@ -360,7 +360,14 @@ def measured(
     needed = next((n for n in counts if setting.limit(joints[:n]) <= aim), len(joints))
     # What was knocked is displaced for the rows after it only, and the session says which of the two it calibrates.
     predicted = result.predict_poses(setting.everywhere, group=result.setup.groups[0])
-    cells = (setting.virtual, operator.now)
+    # Of what was knocked a calibration may have the place before or after it.
+    first, last = setting.virtual, operator.now
+    truths = [
+        replace(first.truth, T_frame_base=of_base.T_frame_base, T_tip_target=of_target.T_tip_target)
+        for of_base in (first.truth, last.truth)
+        for of_target in (first.truth, last.truth)
+    ]
+    cells = [replace(first, truth=truth) for truth in truths]
     return {
         "true_m": min(true_error(cell, setting.everywhere, predicted) for cell in cells),
         "stated_m": state.error,
