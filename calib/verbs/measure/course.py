@@ -369,10 +369,13 @@ class Course:
                 given=(number, *together) if together else ()
             )
             expected = course.expected
-            is_kept = course.stops[-1].counts
+            if not course.stops[-1].counts:
+                outcome = "again"
+            elif together and not found:  # that far off is what the model lacks
+                outcome = "good"
             answer = replace(
                 answer,
-                outcome=answer.outcome if is_kept else "again",
+                outcome=outcome,  # type: ignore[arg-type]
                 findings=(*answer.findings, *found),
                 after=None if expected is None else expected.high,
             )

@@ -17,7 +17,7 @@ nu log (Q - R_k), with log n for each of their c numbers (G. Schwarz, 1978).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -39,6 +39,9 @@ _ENOUGH_FREEDOM = 6.0
 
 #: By how much -2 log of the likelihood of one explanation has to be less than another's for it to be named alone.
 _DECIDED = 12.0
+
+#: Median of chi-square over its degrees of freedom, of six.
+_MEDIAN = 0.89
 
 #: Least share of the squares that an explanation leaves.
 _TINY = 1e-9
@@ -82,19 +85,27 @@ def find_moved(fit: RunningFit, factor: float, first: int) -> tuple[Moved, ...]:
         The likeliest explanation of each kind that is significant, the best first; () if nothing has moved. One alone
         if it is better than the others by far.
     """
-    found = []
+    scans = [*_scans(fit)]
+    of_pictures = bool(fit.rows.is_image.all())
+    if of_pictures and fit.count <= first:
+        return ()
     # Of the fit, with which others that are far off have no part.
     of_fit = float(np.mean(np.square(fit.fitted.estimate.noise)))
-    for what, name, scan in _scans(fit):
+    least = _noise_of_places(scans[-1][2]) if of_pictures else 0.0
+    found = []
+    for what, name, scan in scans:
         for k, (gain, numbers, square, freedom) in enumerate(scan):
             left = freedom - numbers
             if (k < first and what != "stop") or not numbers or left < _ENOUGH_FREEDOM:
                 continue
-            noise = min(max(square - gain, 0.0) / left, of_fit) * factor
+            noise = max(min(max(square - gain, 0.0) / left, of_fit), least) * factor
             limit = fdtri(numbers, left, 1.0 - _FALSE_ALARM / len(scan))
             if gain > numbers * limit * noise:
-                left_over = max(square - gain, _TINY * square)
-                cost = freedom * np.log(left_over) + numbers * np.log(fit.rows.count)
+                cost = numbers * np.log(fit.rows.count)
+                if of_pictures:  # many corners tell the noise
+                    cost -= gain / noise
+                else:
+                    cost += freedom * np.log(max(square - gain, _TINY * square))
                 found.append(Moved(what, name, k, gain / noise, float(cost)))
     best: dict[tuple[str, str, int], Moved] = {}
     for moved in sorted(found, key=lambda moved: moved.cost):
@@ -172,6 +183,15 @@ def derivative_by(fit: RunningFit) -> tuple[ErrorModel, Array]:
     )
     slopes = rows.standardise(rows.derivative(displaced))
     return model, np.where(rows.used[:, :, None], slopes, 0.0)
+
+
+def _noise_of_places(scan: Sequence[tuple[float, int, float, float]]) -> float:
+    """Return the mean square of what the place of a board explains in a picture, by the median over the pictures.
+
+    An arm that does not repeat displaces all corners of a picture alike: they do not tell that noise.
+    """
+    shown = [gain / numbers for gain, numbers, *_ in scan if numbers]
+    return float(np.median(shown)) / _MEDIAN if shown else 0.0
 
 
 def _scans(

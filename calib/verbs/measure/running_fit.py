@@ -26,6 +26,7 @@ from calib.fit.registration.rows import Rows
 from calib.fit.registration.setup import Setup
 from calib.fit.registration.table_rows import rows_and_setup
 from calib.instruments.internals import with_starts
+from calib.instruments.tracker import noise_of_lengths
 from calib.model.internals import InternalValues
 from calib.model.kinematics import Samples, Sightings
 from calib.result.fewer_corners import with_fewer_corners
@@ -146,10 +147,16 @@ class RunningFit(Value):
         larger = self._larger_noise(noise)
         y = (linear.residual(estimate.x) / (noise * larger))[used]
         A = (linear.A / noise[:, :, None])[used]
+        by_places, reduce = None, np.eye(len(y))
         if rows.is_image.all():
-            reduce = self._of_board(rows, noise).T
+            by_places = self._by_places(rows, noise)
+            reduce = _column_space(by_places).T
             y, A = reduce @ y, reduce @ A
         S = np.eye(len(y)) + A @ estimate.covariance @ A.T
+        if by_places is not None:
+            # The arm displaces all corners of a picture alike.
+            anew = reduce @ by_places[:, :3] * noise_of_lengths(self.cell).repeatability
+            S += anew @ anew.T
         residual = rows.residual(fitted.kinematics.sightings(estimate.x, rows.samples))
         square = float(np.trace(S)) / len(y)
         by_unit: dict[str, float] = {}
@@ -212,17 +219,21 @@ class RunningFit(Value):
         )
         return replace(rows, samples=samples)
 
-    def _of_board(self, rows: Rows, noise: Array) -> Array:
-        """Return an orthonormal basis of what a displacement of the boards does to their corners, (k, r)."""
+    def _by_places(self, rows: Rows, noise: Array) -> Array:
+        """Return what a displacement of the boards does to their corners, in standard deviations, (k, 6) [m, rad]."""
         fitted = self.fitted
         seen = fitted.kinematics.linearised(fitted.estimate.x, rows.samples)
         fixed = None if seen.internals is None else InternalValues.fixed(seen.internals.values)
         motions = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
         moved = Sightings(seen.T_frame_target, motions, fixed)
-        B = (rows.standardise(rows.derivative(moved)) / noise[:, :, None])[rows.used]
-        size = np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
-        U, singular, _ = np.linalg.svd(B / size, full_matrices=False)
-        return np.asarray(U[:, singular > _ROUNDING * singular[0]])
+        return np.asarray((rows.standardise(rows.derivative(moved)) / noise[:, :, None])[rows.used])
+
+
+def _column_space(B: Array) -> Array:
+    """Return an orthonormal basis of the column space of B (k, 6), (k, r)."""
+    size = np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
+    U, singular, _ = np.linalg.svd(B / size, full_matrices=False)
+    return np.asarray(U[:, singular > _ROUNDING * singular[0]])
 
 
 def _stop_of_rows(tables: Sequence[Measurements]) -> Integers:
