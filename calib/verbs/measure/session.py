@@ -428,7 +428,7 @@ class Session:
             q = course.design.joints[candidate]
             via = None if moves is None else rounded(self.robot, q - moves[candidate])
             why, number = "information", None
-            error = None if course.fit is None else choice.after_next.high
+            error = None if course.expected is None else choice.after_next.high
         return NextPose(
             joints=q,
             via=via,
