@@ -83,12 +83,13 @@ class _Added:
 class Session:
     """A calibration that is being measured.
 
-    Example:
-        >>> session = calib.Session.start("session", "ur3", cell, calib.Aim(error=1e-4))
-        >>> while not session.state.reached:
-        ...     pose = session.next()
-        ...     answer = session.add(measured(pose.joints))
-        >>> result = session.calibrate()
+    With a function ``read`` that drives the robot to joint values and returns what the instrument reads there, by
+    columns such as ``{"x [mm]": 812.3, "y [mm]": 5.1, "z [mm]": 420.9}``::
+
+        session = calib.Session.start("session", "ur3", cell, calib.Aim(error=1e-4))
+        while not session.state.reached:
+            answer = session.add(read(session.next().joints))
+        result = session.calibrate()
     """
 
     def __init__(self, folder: Path, settings: Settings, journal: Journal, course: Course) -> None:

@@ -68,11 +68,13 @@ class _Stop:
 class Station:
     """A session with its instrument and its robot.
 
-    Example:
-        >>> with Station(session, "tcp:192.168.0.20:5000") as station:
-        ...     while station.propose() is not None:
-        ...         row = station.read()
-        ...         answer = session.add(row)
+    For example::
+
+        with Station(session, "tcp:192.168.0.20:5000") as station:
+            while station.propose() is not None:
+                row = station.read()
+                if row is not None:
+                    answer = session.add(row)
     """
 
     def __init__(
