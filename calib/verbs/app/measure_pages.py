@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,16 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from calib.basics.files import read_bytes, write_atomically
-from calib.basics.units import LENGTH, parse_amount
+from calib.basics.units import parse_point
 from calib.data.cell import Cell
 from calib.data.cell_chains import robot_of_cell
 from calib.errors import CalibError
 from calib.robot.urdf import known_robots, read_urdf
 from calib.show.lines import mm
 from calib.verbs.app.choices import check_no_plugins, choices_of
-from calib.verbs.app.commands import cell_text, session_commands
+from calib.verbs.app.commands import cell_text, parse_length, session_commands
 from calib.verbs.app.desk import title_of
+from calib.verbs.app.fields import Looked
 from calib.verbs.app.guesses import look_for_session, named_robot
 from calib.verbs.app.job import CELL, Job, Kind
 from calib.verbs.app.site import Site, check_robot_name
@@ -134,19 +135,28 @@ class MeasurePages:
         """Show a session, or its setup before it is begun."""
         if is_begun(job):
             return await self._show(request, job)
-        return await self._setup(request, job, "")
+        return await self._setup(request, job)
 
-    async def _setup(self, request: Request, job: Job, error: str) -> Response:
-        """Show the setup of a session."""
+    async def _setup(
+        self,
+        request: Request,
+        job: Job,
+        error: str = "",
+        faults: Mapping[str, str] | None = None,
+        typed: Mapping[str, str] | None = None,
+    ) -> Response:
+        """Show the setup of a session, with the faults of its fields, and what was typed where it is not kept."""
         looked = await run_in_threadpool(look_for_session, job)
         return self._site.draw(
             request,
             "setup.html.j2",
             "measure",
-            status=400 if error else 200,
+            status=400 if error or faults else 200,
             job=job,
             looked=looked,
             error=error,
+            faults=faults or {},
+            typed=typed or {},
             shown=[file for file in looked.files if not is_picture(file.name)],
             pictures=0,
         )
@@ -154,21 +164,32 @@ class MeasurePages:
     async def choose(self, request: Request, job: Job, form: Mapping[str, str]) -> Response:
         """Keep what was chosen in the setup, and begin the session if that was asked for."""
 
-        def choose() -> str:
-            """Keep the choices, and begin; return what keeps it from that."""
+        def choose() -> tuple[Job, str, dict[str, str], dict[str, str]]:
+            """Keep the choices, and begin; return what keeps it from that, and what was typed and is not kept."""
             if is_begun(job):
-                return ""
+                return job, "", {}, {}
+            faults, typed, kept = {}, {}, dict(form)
+            name = form.get("robot_name", "").strip()
             try:
-                check_robot_name(form.get("robot_name", "").strip())
-                chosen = job.with_choices(choices_of(job, form)).write()
-                if form.get("action") == "measure":
-                    self._site.sittings.start(chosen, self._begin(chosen))
+                check_robot_name(name)
             except CalibError as error:
-                return str(error).replace(f"{job.folder}/", "")
-            return ""
+                faults, typed = {"robot_name": str(error)}, {"robot_name": name}
+                kept["robot_name"] = form.get("was:robot_name", "")
+            choices = choices_of(job, kept)
+            chosen = job.with_choices(choices).write()
+            if form.get("action") == "measure" and not faults:
+                faults = dict(_faults(look_for_session(chosen)))
+                try:
+                    if not faults:
+                        self._site.sittings.start(chosen, self._begin(chosen))
+                except CalibError as error:
+                    return chosen, str(error).replace(f"{job.folder}/", ""), {}, {}
+            return chosen, "", faults, typed
 
-        error = await run_in_threadpool(choose)
-        return await self._setup(request, job, error) if error else self._site.to(job)
+        chosen, error, faults, typed = await run_in_threadpool(choose)
+        if error or faults:
+            return await self._setup(request, chosen, error, faults, typed)
+        return self._site.to(chosen)
 
     def _begin(self, job: Job) -> Callable[[Path], Session]:
         """Return what starts the session of a job in a folder; it raises `CalibError`."""
@@ -178,13 +199,7 @@ class MeasurePages:
             looked = look_for_session(job)
             if not looked.is_ready:
                 raise CalibError(looked.fault or "The robot is missing.")
-            check_devices(looked.value("reader"), looked.value("controller"))
-            error = None
-            if aim := looked.value("aim"):
-                error = parse_amount(aim, "aim", LENGTH, "0.1 mm")
-            poses = looked.value("poses")
-            if not (poses.isdecimal() and len(poses) < 5):
-                raise CalibError(f"'{poses}' is no number of poses; give one such as 40.")
+            aim = _aim(looked)
             cell_file = looked.value("cell")
             if not cell_file:
                 cell_file = CELL
@@ -195,7 +210,7 @@ class MeasurePages:
                 folder,
                 arm,
                 cell,
-                Aim(error, int(poses)),
+                aim,
                 collisions=looked.value("collisions") == "yes",
             )
 
@@ -419,6 +434,44 @@ class MeasurePages:
                 (folder / name).write_bytes(read_bytes(path, "The file"))
             received = Received(folder, {}, tuple(files))
             return desk.make(Kind.CALIBRATE, job.name.partition("-")[2], key, received, choices)
+
+
+def _aim(looked: Looked) -> Aim:
+    """Return the aim of a setup; CalibError if there is none of this kind."""
+    if aim := looked.value("aim"):
+        return Aim(parse_length(aim, "aim", "0.1 mm"))
+    return Aim(poses=_poses(looked))
+
+
+def _poses(looked: Looked) -> int:
+    """Return the number of poses at random of a setup; CalibError if it is none."""
+    poses = looked.value("poses")
+    if not (poses.isdecimal() and len(poses) < 5):
+        raise CalibError(f"'{poses}' is no number of poses; give one such as 40.")
+    return Aim(poses=int(poses)).poses
+
+
+def _faults(looked: Looked) -> Iterator[tuple[str, str]]:
+    """Yield the fields of a setup whose values are wrong, with what is wrong."""
+    value = looked.value
+    checks: Mapping[str, Callable[[], object]] = {
+        "aim": lambda: value("aim") and _aim(looked),
+        "poses": lambda: value("aim") or _poses(looked),
+        "noise": lambda: value("noise") and parse_length(value("noise"), "noise", "0.03 mm"),
+        "target": lambda: value("target") and parse_point(value("target"), "target"),
+        "reader": lambda: check_devices(value("reader"), ""),
+        "controller": lambda: check_devices("", value("controller")),
+    }
+    yield from ((name, fault) for name, check in checks.items() if (fault := _fault(check)))
+
+
+def _fault(check: Callable[[], object]) -> str:
+    """Return what a check finds wrong; empty for nothing."""
+    try:
+        check()
+    except CalibError as error:
+        return str(error)
+    return ""
 
 
 def _pose_id(session: Session, pose: NextPose | None) -> str:

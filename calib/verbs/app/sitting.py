@@ -7,6 +7,7 @@ reading is added at the pose that is proposed, or at that of the robot if one is
 
 from __future__ import annotations
 
+import shutil
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -193,6 +194,8 @@ class Sittings:
                     self._open[job.folder] = Sitting(job.folder, session, *device)
                 except BaseException:
                     session.close()
+                    if not is_begun:  # its setup can still be changed
+                        shutil.rmtree(folder)
                     raise
             return self._open[job.folder]
 
