@@ -162,11 +162,23 @@ def test_undo_skip_pause_and_too_few_stops(client: Client):
     measure(client, job, person)
     client.post(f"{job}/undo", key="u1")
     assert "Stops that count: 0." in client.get(job).text
+    assert "Stop 1 is taken back." in client.get(job).text
+    form = typed(np.ones(3), client.get(job))
     client.post(f"{job}/pause", key="p1", to="pause")
     text = client.get(job).text
     assert "The session pauses" in text
     assert 'id="entry"' not in text
-    client.post(f"{job}/pause", key="p2", to="resume")
+    assert client.form(f"{job}/reading", form).status == 409
+    client.post(f"{job}/undo", key="u2")
+    assert client.get(f"{job}/live?v=paused").status == 204
+    assert client.get(f"{job}/live?v=1").headers["x-paused"] == "true"
+    folder = client.folder / job[6:] / "session"
+    with Session.open(folder) as session:  # another process has it now
+        assert session.state.measured == 0
+        answer = client.post(f"{job}/pause", key="p2", to="resume")
+        assert answer.status == 409
+        assert '<blockquote lang="en">' in answer.text
+    client.post(f"{job}/pause", key="p3", to="resume")
     assert 'id="entry"' in client.get(job).text
     answer = client.post(f"{job}/finish", key="f")
     assert answer.status == 409
@@ -221,6 +233,56 @@ def test_readings_of_an_instrument_are_added_as_they_come(client: Client, tmp_pa
         time.sleep(0.1)
     assert "'one' is not a number" in text
     assert rows(client, job) == 3
+
+
+def until(client: Client, job: str, count: int) -> None:
+    """Wait until a session has so many rows."""
+    end = time.monotonic() + 20.0
+    while rows(client, job) < count:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_rehearsal_measures_when_a_person_says_so(client: Client):
+    job = client.upload("/measure", [], robot_name="ur10e").to
+    form = form_of(client.get(job)) | {"noise": "0.03", "action": "rehearse"}
+    assert client.form(f"{job}/choose", form).status == 303
+    for count in range(1, 4):
+        assert f'action="{job}/go"' in client.get(job).text
+        time.sleep(0.5)
+        assert rows(client, job) == count - 1
+        client.post(f"{job}/go", key=f"g{count}")
+        client.post(f"{job}/go", key=f"g{count}")
+        until(client, job, count)
+    time.sleep(0.5)
+    assert rows(client, job) == 3
+
+
+def test_an_instrument_that_comes_by_itself_stops_at_the_aim(client: Client, tmp_path: Path):
+    exported = tmp_path / "points.txt"
+    exported.write_text("x [mm];y [mm];z [mm]\n")
+    job = begun(client, reader=f"file:{exported}", aim="3 mm")
+    person = operator()
+    count = 0
+
+    def show() -> None:
+        page = client.get(job)
+        xyz = 1e3 * person.measure(shown_pose(page)).readings.points[0]
+        with exported.open("a") as file:
+            file.write(f"{xyz[0]:.4f};{xyz[1]:.4f};{xyz[2]:.4f}\n")
+
+    while "The aim is reached" not in client.get(job).text:
+        show()
+        count += 1
+        until(client, job, count)
+        assert count < 25
+    show()
+    time.sleep(1.0)
+    assert rows(client, job) == count
+    client.post(f"{job}/go", key="on")
+    time.sleep(0.5)
+    show()
+    until(client, job, count + 1)
 
 
 @pytest.mark.parametrize(
