@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,6 +28,9 @@ from calib.verbs.app.job import (
     Command,
     Job,
 )
+
+#: A length as it is typed: a number, with a decimal point or comma, and perhaps its unit.
+_TYPED = re.compile(r"(\d+(?:[.,]\d*)?|[.,]\d+)\s*([A-Za-zµμ]*)")
 
 
 def cell_text(looked: Looked) -> str:
@@ -52,11 +56,25 @@ def _cell_lines(looked: Looked) -> Iterator[str]:
         yield f"target_mm = [{', '.join(f'{number:.9g}' for number in numbers)}]"
         yield 'target = "estimate"'
     if noise := looked.value("noise"):
-        size = parse_amount(noise, "noise", LENGTH, "0.03 mm")
+        size = parse_length(noise, "noise", "0.03 mm")
         yield f"sigma_mm = {1e3 * size:.9g}"
     model = looked.value("model")
     if model not in ("", AUTO):
         yield f"model = {_quoted(model)}"
+
+
+def parse_length(text: str, option: str, example: str) -> float:
+    """Return a length as people type it [m]; CalibError for anything else.
+
+    Args:
+        text: Such as ``"0.2 mm"``; the comma may be a decimal one, and a bare number is of millimetres.
+        option: Name of its field, for messages.
+        example: A text that would be right, for messages.
+    """
+    match = _TYPED.fullmatch(text.strip())
+    if match is not None:
+        text = f"{match[1].replace(',', '.')} {match[2] or 'mm'}"
+    return parse_amount(text, option, LENGTH, example)
 
 
 def _quoted(text: str) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+import shlex
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +16,27 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from calib.basics.files import read_bytes, write_atomically
-from calib.basics.units import LENGTH, parse_amount
+from calib.basics.units import parse_point
 from calib.data.cell import Cell
 from calib.data.cell_chains import robot_of_cell
 from calib.errors import CalibError
 from calib.robot.urdf import known_robots, read_urdf
 from calib.show.lines import mm
 from calib.verbs.app.choices import check_no_plugins, choices_of
-from calib.verbs.app.commands import cell_text, session_commands
+from calib.verbs.app.commands import cell_text, parse_length, session_commands
 from calib.verbs.app.desk import title_of
+from calib.verbs.app.fields import Looked
 from calib.verbs.app.guesses import look_for_session, named_robot
 from calib.verbs.app.job import CELL, Job, Kind
 from calib.verbs.app.site import Site, check_robot_name
-from calib.verbs.app.sitting import SESSION, Sitting, check_devices, is_begun
+from calib.verbs.app.sitting import (
+    SESSION,
+    PausedError,
+    Sitting,
+    check_devices,
+    is_begun,
+    is_paused,
+)
 from calib.verbs.app.sitting_page import (
     advice_texts,
     answer_view,
@@ -66,6 +76,10 @@ _CELL = "session-cell.toml"
 
 #: A number as it is typed, its comma a point.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+
+
+#: Devices of a session that is rehearsed.
+_REHEARSAL = {"reader": "virtual:1", "controller": "virtual"}
 
 
 class NotAddedError(CalibError):
@@ -134,19 +148,41 @@ class MeasurePages:
         """Show a session, or its setup before it is begun."""
         if is_begun(job):
             return await self._show(request, job)
-        return await self._setup(request, job, "")
+        return await self._setup(request, job)
 
-    async def _setup(self, request: Request, job: Job, error: str) -> Response:
-        """Show the setup of a session."""
+    def _show_paused(self, request: Request, job: Job, said: str = "", error: str = "") -> Response:
+        """Show a session that pauses: it is closed, and goes on here or elsewhere."""
+        return self._site.draw(
+            request,
+            "paused.html.j2",
+            "measure",
+            status=409 if said or error else 200,
+            job=job,
+            said=said,
+            error=error,
+            command=[shlex.join(["calib", "measure", str(job.folder / SESSION)])],
+        )
+
+    async def _setup(
+        self,
+        request: Request,
+        job: Job,
+        error: str = "",
+        faults: Mapping[str, str] | None = None,
+        typed: Mapping[str, str] | None = None,
+    ) -> Response:
+        """Show the setup of a session, with the faults of its fields, and what was typed where it is not kept."""
         looked = await run_in_threadpool(look_for_session, job)
         return self._site.draw(
             request,
             "setup.html.j2",
             "measure",
-            status=400 if error else 200,
+            status=400 if error or faults else 200,
             job=job,
             looked=looked,
             error=error,
+            faults=faults or {},
+            typed=typed or {},
             shown=[file for file in looked.files if not is_picture(file.name)],
             pictures=0,
         )
@@ -154,21 +190,35 @@ class MeasurePages:
     async def choose(self, request: Request, job: Job, form: Mapping[str, str]) -> Response:
         """Keep what was chosen in the setup, and begin the session if that was asked for."""
 
-        def choose() -> str:
-            """Keep the choices, and begin; return what keeps it from that."""
+        def choose() -> tuple[Job, str, dict[str, str], dict[str, str]]:
+            """Keep the choices, and begin; return what keeps it from that, and what was typed and is not kept."""
             if is_begun(job):
-                return ""
+                return job, "", {}, {}
+            faults, typed, kept = {}, {}, dict(form)
+            name = form.get("robot_name", "").strip()
             try:
-                check_robot_name(form.get("robot_name", "").strip())
-                chosen = job.with_choices(choices_of(job, form)).write()
-                if form.get("action") == "measure":
-                    self._site.sittings.start(chosen, self._begin(chosen))
+                check_robot_name(name)
             except CalibError as error:
-                return str(error).replace(f"{job.folder}/", "")
-            return ""
+                faults, typed = {"robot_name": str(error)}, {"robot_name": name}
+                kept["robot_name"] = form.get("was:robot_name", "")
+            choices = choices_of(job, kept)
+            chosen = job.with_choices(choices).write()
+            is_rehearsal = form.get("action") == "rehearse"
+            if is_rehearsal:
+                chosen = job.with_choices(choices | _REHEARSAL).write()
+            if (is_rehearsal or form.get("action") == "measure") and not faults:
+                faults = dict(_faults(look_for_session(chosen)))
+                try:
+                    if not faults:
+                        self._site.sittings.start(chosen, self._begin(chosen))
+                except CalibError as error:
+                    return chosen, str(error).replace(f"{job.folder}/", ""), {}, {}
+            return chosen, "", faults, typed
 
-        error = await run_in_threadpool(choose)
-        return await self._setup(request, job, error) if error else self._site.to(job)
+        chosen, error, faults, typed = await run_in_threadpool(choose)
+        if error or faults:
+            return await self._setup(request, chosen, error, faults, typed)
+        return self._site.to(chosen)
 
     def _begin(self, job: Job) -> Callable[[Path], Session]:
         """Return what starts the session of a job in a folder; it raises `CalibError`."""
@@ -178,13 +228,7 @@ class MeasurePages:
             looked = look_for_session(job)
             if not looked.is_ready:
                 raise CalibError(looked.fault or "The robot is missing.")
-            check_devices(looked.value("reader"), looked.value("controller"))
-            error = None
-            if aim := looked.value("aim"):
-                error = parse_amount(aim, "aim", LENGTH, "0.1 mm")
-            poses = looked.value("poses")
-            if not (poses.isdecimal() and len(poses) < 5):
-                raise CalibError(f"'{poses}' is no number of poses; give one such as 40.")
+            aim = _aim(looked)
             cell_file = looked.value("cell")
             if not cell_file:
                 cell_file = CELL
@@ -195,7 +239,7 @@ class MeasurePages:
                 folder,
                 arm,
                 cell,
-                Aim(error, int(poses)),
+                aim,
                 collisions=looked.value("collisions") == "yes",
             )
 
@@ -221,13 +265,15 @@ class MeasurePages:
             """Ask the session."""
             return self._words(request, self._sitting(job))
 
-        shown = await run_in_threadpool(words)
+        try:
+            shown = await run_in_threadpool(words)
+        except PausedError:
+            return self._show_paused(request, job, said, error)
         return self._site.draw(
             request,
             "sitting.html.j2",
             "measure",
             status=409 if said or error else 200,
-            job=job,
             said=said,
             error=error,
             typed=typed or {},
@@ -250,8 +296,9 @@ class MeasurePages:
         is_placed = state.error is not None or not session.cell.estimate_frame
         job = Job.read(sitting.folder)
         return {
+            "job": job,
             "live": version,
-            "paused": sitting.is_paused,
+            "done": t(sitting.done[0], **sitting.done[1]) if sitting.done[0] else "",
             "fault": sitting.fault,
             "answer": answer_view(stops[-1].answer, t) if stops else None,
             "pose": None if pose is None else pose_view(session, pose, is_placed=is_placed),
@@ -264,7 +311,8 @@ class MeasurePages:
             "stops": list(stop_lines(stops, t)),
             "notes": [note for note in session.notes if note not in ("pause", "resume")],
             "targets": sitting.targets,
-            "asks": sitting.asks,
+            "waits": sitting.waits_for_go,
+            "holds": sitting.holds,
             "headers": sitting.headers,
             "reader": job.choices.get("reader", ""),
         }
@@ -280,12 +328,16 @@ class MeasurePages:
                 return None
             return self._words(request, sitting)
 
-        shown = await run_in_threadpool(words)
+        try:
+            shown = await run_in_threadpool(words)
+        except PausedError:
+            is_known = request.query_params.get("v") == "paused"
+            return Response(status_code=204 if is_known else 200, headers={"x-paused": "true"})
         if shown is None:
             return Response(status_code=204)
         answer = self._site.draw(request, "live.html.j2", "", **shown)
         answer.headers["x-version"] = shown["live"]
-        answer.headers["x-form"] = str(bool(shown["pose"]) and not shown["paused"]).lower()
+        answer.headers["x-form"] = str(bool(shown["pose"])).lower()
         return answer
 
     async def _ghost(self, request: Request) -> Response:
@@ -319,8 +371,6 @@ class MeasurePages:
                 pose = sitting.session.next()
                 if form.get("pose") != _pose_id(sitting.session, pose):
                     raise NotAddedError(t("reading_pose_changed"))
-                if sitting.is_paused:
-                    raise NotAddedError(t("paused"))
                 rows = _typed_rows(form, sitting, lambda text: t("reading_numbers", text=text))
                 sitting.add(rows, form.get("joints", "").strip(), key)
 
@@ -328,6 +378,8 @@ class MeasurePages:
 
         try:
             await run_in_threadpool(add)
+        except PausedError:
+            return self._show_paused(request, job, said=t("paused"))
         except NotAddedError as error:
             return await self._show(request, job, said=str(error), typed=form)
         except CalibError as error:
@@ -346,7 +398,8 @@ class MeasurePages:
             sitting = self._sitting(job)
             sitting.once(form.get("key", ""), lambda: act(sitting, form))
 
-        await run_in_threadpool(run)
+        with suppress(PausedError):  # which the page says
+            await run_in_threadpool(run)
         return self._site.to(job)
 
     async def _go(self, request: Request) -> Response:
@@ -355,7 +408,14 @@ class MeasurePages:
 
     async def _undo(self, request: Request) -> Response:
         """Take the last stop back."""
-        return await self._act(request, lambda sitting, _: sitting.session.undo())
+
+        def undo(sitting: Sitting, _: Mapping[str, str]) -> None:
+            """Take it back."""
+            number = sitting.session.undo()
+            key = "done_no_undo" if number is None else "done_undo"
+            sitting.done = (key, {"stop": str(number)})
+
+        return await self._act(request, undo)
 
     async def _skip(self, request: Request) -> Response:
         """Leave out the pose that was shown, if it is still the next."""
@@ -365,6 +425,7 @@ class MeasurePages:
             session = sitting.session
             if form.get("pose") == _pose_id(session, session.next()):
                 session.skip()
+                sitting.done = ("done_skip", {})
 
         return await self._act(request, skip)
 
@@ -375,14 +436,31 @@ class MeasurePages:
             """Write it."""
             if text := form.get("note", "").strip():
                 sitting.session.note(text)
+                sitting.done = ("done_note", {"text": text})
 
         return await self._act(request, note)
 
     async def _pause(self, request: Request) -> Response:
-        """Pause, or go on."""
-        return await self._act(
-            request, lambda sitting, form: sitting.pause(pauses=form.get("to") == "pause")
-        )
+        """Pause and close the session, or open it and go on."""
+        job = self._site.job_of(request)
+        form = await receive_form(request)
+        pauses, key = form.get("to") == "pause", form.get("key", "")
+
+        def run() -> None:
+            """Do it."""
+            sittings = self._site.sittings
+            sitting = sittings.start(job, self._begin(job), resumes=not pauses)
+            sitting.once(key, lambda: sitting.pause(pauses=pauses))
+            if is_paused(job):
+                sittings.close(job)
+
+        try:
+            await run_in_threadpool(run)
+        except PausedError:
+            pass
+        except CalibError as error:  # such as a session that another process has
+            return self._show_paused(request, job, error=str(error))
+        return self._site.to(job)
 
     async def _finish(self, request: Request) -> Response:
         """Calibrate by the stops that count: a job of its own, with the command that makes it."""
@@ -401,7 +479,10 @@ class MeasurePages:
             commands = session_commands(made, robot, looked.value("xacro"), TABLE, _CELL)
             return self._site.runs.start(made, commands)
 
-        made = await run_in_threadpool(finish)
+        try:
+            made = await run_in_threadpool(finish)
+        except PausedError:
+            return self._site.to(job)
         if made is None:
             return await self._show(request, job, said=t("session_needs_more"))
         return self._site.to(made)
@@ -419,6 +500,44 @@ class MeasurePages:
                 (folder / name).write_bytes(read_bytes(path, "The file"))
             received = Received(folder, {}, tuple(files))
             return desk.make(Kind.CALIBRATE, job.name.partition("-")[2], key, received, choices)
+
+
+def _aim(looked: Looked) -> Aim:
+    """Return the aim of a setup; CalibError if there is none of this kind."""
+    if aim := looked.value("aim"):
+        return Aim(parse_length(aim, "aim", "0.1 mm"))
+    return Aim(poses=_poses(looked))
+
+
+def _poses(looked: Looked) -> int:
+    """Return the number of poses at random of a setup; CalibError if it is none."""
+    poses = looked.value("poses")
+    if not (poses.isdecimal() and len(poses) < 5):
+        raise CalibError(f"'{poses}' is no number of poses; give one such as 40.")
+    return Aim(poses=int(poses)).poses
+
+
+def _faults(looked: Looked) -> Iterator[tuple[str, str]]:
+    """Yield the fields of a setup whose values are wrong, with what is wrong."""
+    value = looked.value
+    checks: Mapping[str, Callable[[], object]] = {
+        "aim": lambda: value("aim") and _aim(looked),
+        "poses": lambda: value("aim") or _poses(looked),
+        "noise": lambda: value("noise") and parse_length(value("noise"), "noise", "0.03 mm"),
+        "target": lambda: value("target") and parse_point(value("target"), "target"),
+        "reader": lambda: check_devices(value("reader"), ""),
+        "controller": lambda: check_devices("", value("controller")),
+    }
+    yield from ((name, fault) for name, check in checks.items() if (fault := _fault(check)))
+
+
+def _fault(check: Callable[[], object]) -> str:
+    """Return what a check finds wrong; empty for nothing."""
+    try:
+        check()
+    except CalibError as error:
+        return str(error)
+    return ""
 
 
 def _pose_id(session: Session, pose: NextPose | None) -> str:

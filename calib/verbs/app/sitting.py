@@ -7,6 +7,7 @@ reading is added at the pose that is proposed, or at that of the robot if one is
 
 from __future__ import annotations
 
+import shutil
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -31,8 +32,15 @@ _KEYS, _PAUSE = ".keys", ".paused"
 #: Time for which an instrument is waited for at once, and between two times, when others have their turn [s].
 _WAIT, _BETWEEN = 0.2, 0.02
 
+#: The controller of a rehearsal, which says at once that the robot is there.
+_VIRTUAL = "virtual"
+
 #: Longest time that an instrument has to give way at the end [s].
 _LONGEST = 10.0
+
+
+class PausedError(CalibError):
+    """The session pauses."""
 
 
 class Sitting:
@@ -52,7 +60,16 @@ class Sitting:
         self.fault, self._heard = "", 0
         self._ends = threading.Event()
         self._lock = threading.RLock()
-        self._station = Station(session, reader or TYPED, controller)
+        #: What was done last that is no reading: the key of its sentence, and its words; cleared by the next reading
+        self.done: tuple[str, dict[str, str]] = ("", {})
+        self._station = station = Station(session, reader or TYPED, controller)
+        is_rehearsed = not station.has_robot or controller.partition(":")[0] == _VIRTUAL
+        #: True if the instrument measures when it is asked, and nothing but a person says when the robot stands there.
+        self.waits_for_go = station.is_told or (station.is_asked and is_rehearsed)
+        #: True once a person said so at this pose; True once a person said to go on after the aim
+        self._may_ask = self._goes_on = False
+        #: Number of events by which it was looked up whether the aim is reached, and whether it is
+        self._reached = (-1, False)
         self._thread: threading.Thread | None = None
         if self._station.has_instrument:
             self._thread = threading.Thread(target=self._listen, daemon=True)
@@ -70,9 +87,14 @@ class Sitting:
         return tuple(dict.fromkeys(target for _, target in self.session.sights))
 
     @property
-    def asks(self) -> bool:
-        """True if the instrument measures when it is asked, as a camera."""
-        return self._station.is_asked
+    def holds(self) -> bool:
+        """True while an instrument that comes by itself is not read, as the aim is reached and nobody said to go on."""
+        if self._thread is None or self.waits_for_go or self._goes_on:
+            return False
+        count = len(self.session.events)
+        if self._reached[0] != count:
+            self._reached = (count, self.session.state.reached)
+        return self._reached[1]
 
     @property
     def is_paused(self) -> bool:
@@ -82,7 +104,7 @@ class Sitting:
     @property
     def version(self) -> str:
         """A text that changes whenever the page does."""
-        return f"{len(self.session.events)}-{int(self.is_paused)}-{self._heard}"
+        return f"{len(self.session.events)}-{int(self.holds)}-{self._heard}"
 
     def once(self, key: str, act: Callable[[], Any]) -> None:
         """Do something, unless a form with the same key has done it before."""
@@ -97,7 +119,7 @@ class Sitting:
                     file.write(f"{key}\n")
 
     def pause(self, *, pauses: bool) -> None:
-        """Pause the session, or go on with it."""
+        """Pause the session, or go on with it; one that pauses is to be closed, so that others can have it."""
         if pauses == self.is_paused:
             return
         self.session.note("pause" if pauses else "resume")
@@ -130,17 +152,20 @@ class Sitting:
                 raise MeasurementError("Nothing was typed that is a reading.")
             answer = self.session.add(row, key=key)
             station.added()
+            self.done = ("", {})
             return answer
 
     def go(self) -> None:
-        """Say that the robot stands at the pose, so that an instrument that waits for that is asked."""
-        self._station.go()
+        """Say that the robot stands at the pose, or that the session goes on after its aim."""
+        self._may_ask = True
+        self._goes_on = self._goes_on or self.holds
 
     def _listen(self) -> None:
         """Read the instrument until the sitting ends; what is wrong is shown on the page."""
         proposed: NextPose | None = None
         while not self._ends.wait(_BETWEEN):
-            if self.is_paused:
+            if self.is_paused or self.holds or (self.waits_for_go and not self._may_ask):
+                proposed = None  # what comes meanwhile is left out
                 continue
             try:
                 with self._lock:
@@ -149,14 +174,17 @@ class Sitting:
                         continue
                     if pose is not proposed:
                         proposed = self._station.propose()
+                        if self.waits_for_go:
+                            self._station.go()
                     row = self._station.read(_WAIT)
                     if row is None:
                         continue
                     self.session.add(row)
                     self._station.added()
-                self.fault = ""
+                self.fault, self.done = "", ("", {})
             except CalibError as error:
                 self.fault = str(error)
+            self._may_ask = False
             self._heard += 1
 
     def close(self) -> None:
@@ -176,14 +204,17 @@ class Sittings:
         self._open: dict[Path, Sitting] = {}
         self._opening = threading.Lock()
 
-    def start(self, job: Job, make: Callable[[Path], Session]) -> Sitting:
+    def start(self, job: Job, make: Callable[[Path], Session], *, resumes: bool = False) -> Sitting:
         """Start the session of a job, or go on with it if it was started before; raises `CalibError`.
 
         Args:
             job: The job.
             make: Starts a session in a folder.
+            resumes: Whether a session that pauses is opened; it is refused with a `PausedError` otherwise.
         """
         with self._opening:
+            if is_paused(job) and not resumes:
+                raise PausedError("The session pauses; go on with it on its page.")
             if job.folder not in self._open:
                 folder = job.folder / SESSION
                 is_begun = (folder / "session.json").exists()
@@ -193,6 +224,8 @@ class Sittings:
                     self._open[job.folder] = Sitting(job.folder, session, *device)
                 except BaseException:
                     session.close()
+                    if not is_begun:  # its setup can still be changed
+                        shutil.rmtree(folder)
                     raise
             return self._open[job.folder]
 
@@ -214,6 +247,11 @@ class Sittings:
 def is_begun(job: Job) -> bool:
     """Return True if the session of a job was started."""
     return (job.folder / SESSION / "session.json").exists()
+
+
+def is_paused(job: Job) -> bool:
+    """Return True if the session of a job pauses: it is closed, and another process may have it."""
+    return (job.folder / _PAUSE).exists()
 
 
 def check_devices(reader: str, controller: str) -> None:

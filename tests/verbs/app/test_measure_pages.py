@@ -15,7 +15,7 @@ from calib.data.measurements import Measurements
 from calib.result.calibration import Calibration
 from calib.verbs.measure.session import Session
 from tests.verbs.app.measured import arm, begun, hidden, measure, operator, shown_pose, typed
-from tests.verbs.app.served import Client, served
+from tests.verbs.app.served import Answer, Client, served
 
 pytestmark = pytest.mark.slow
 
@@ -162,11 +162,23 @@ def test_undo_skip_pause_and_too_few_stops(client: Client):
     measure(client, job, person)
     client.post(f"{job}/undo", key="u1")
     assert "Stops that count: 0." in client.get(job).text
+    assert "Stop 1 is taken back." in client.get(job).text
+    form = typed(np.ones(3), client.get(job))
     client.post(f"{job}/pause", key="p1", to="pause")
     text = client.get(job).text
     assert "The session pauses" in text
     assert 'id="entry"' not in text
-    client.post(f"{job}/pause", key="p2", to="resume")
+    assert client.form(f"{job}/reading", form).status == 409
+    client.post(f"{job}/undo", key="u2")
+    assert client.get(f"{job}/live?v=paused").status == 204
+    assert client.get(f"{job}/live?v=1").headers["x-paused"] == "true"
+    folder = client.folder / job[6:] / "session"
+    with Session.open(folder) as session:  # another process has it now
+        assert session.state.measured == 0
+        answer = client.post(f"{job}/pause", key="p2", to="resume")
+        assert answer.status == 409
+        assert '<blockquote lang="en">' in answer.text
+    client.post(f"{job}/pause", key="p3", to="resume")
     assert 'id="entry"' in client.get(job).text
     answer = client.post(f"{job}/finish", key="f")
     assert answer.status == 409
@@ -223,6 +235,56 @@ def test_readings_of_an_instrument_are_added_as_they_come(client: Client, tmp_pa
     assert rows(client, job) == 3
 
 
+def until(client: Client, job: str, count: int) -> None:
+    """Wait until a session has so many rows."""
+    end = time.monotonic() + 20.0
+    while rows(client, job) < count:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_rehearsal_measures_when_a_person_says_so(client: Client):
+    job = client.upload("/measure", [], robot_name="ur10e").to
+    form = form_of(client.get(job)) | {"noise": "0.03", "action": "rehearse"}
+    assert client.form(f"{job}/choose", form).status == 303
+    for count in range(1, 4):
+        assert f'action="{job}/go"' in client.get(job).text
+        time.sleep(0.5)
+        assert rows(client, job) == count - 1
+        client.post(f"{job}/go", key=f"g{count}")
+        client.post(f"{job}/go", key=f"g{count}")
+        until(client, job, count)
+    time.sleep(0.5)
+    assert rows(client, job) == 3
+
+
+def test_an_instrument_that_comes_by_itself_stops_at_the_aim(client: Client, tmp_path: Path):
+    exported = tmp_path / "points.txt"
+    exported.write_text("x [mm];y [mm];z [mm]\n")
+    job = begun(client, reader=f"file:{exported}", aim="3 mm")
+    person = operator()
+    count = 0
+
+    def show() -> None:
+        page = client.get(job)
+        xyz = 1e3 * person.measure(shown_pose(page)).readings.points[0]
+        with exported.open("a") as file:
+            file.write(f"{xyz[0]:.4f};{xyz[1]:.4f};{xyz[2]:.4f}\n")
+
+    while "The aim is reached" not in client.get(job).text:
+        show()
+        count += 1
+        until(client, job, count)
+        assert count < 25
+    show()
+    time.sleep(1.0)
+    assert rows(client, job) == count
+    client.post(f"{job}/go", key="on")
+    time.sleep(0.5)
+    show()
+    until(client, job, count + 1)
+
+
 @pytest.mark.parametrize(
     "chosen",
     [
@@ -244,6 +306,65 @@ def test_a_setup_with_a_fault_says_so_and_begins_nothing(client: Client, chosen:
     assert answer.status == 400
     assert '<blockquote lang="en">' in answer.text
     assert "Traceback" not in answer.text
+
+
+def field_of(page: Answer, name: str) -> tuple[str, bool]:
+    """What a field of a setup shows, and whether it is marked as wrong."""
+    tag = re.search(rf'<input id="f-{name}" [^>]*>', page.text)
+    assert tag is not None
+    shown = re.search(r' value="([^"]*)"', tag[0])
+    assert shown is not None
+    return shown[1], 'aria-invalid="true"' in tag[0]
+
+
+def form_of(page: Answer) -> dict[str, str]:
+    """The form of a setup as a browser would send it."""
+    form = page.text.partition('id="reading">')[2].partition("</form>")[0]
+    tags = re.findall(r"<input [^>]*>", form)
+    pairs = [re.search(r'name="([^"]+)" value="([^"]*)"', tag) for tag in tags]
+    fields = {pair[1]: pair[2] for pair in pairs if pair is not None}
+    for name, options in re.findall(r'<select [^>]*name="([^"]+)".*?>(.*?)</select>', form, re.S):
+        fields[name] = re.findall(r'value="([^"]*)" selected', options)[0]
+    return fields
+
+
+def test_a_setup_keeps_what_was_typed_and_marks_the_field_until_it_is_right(client: Client):
+    job = client.upload("/measure", [], robot_name="ur10e").to
+    form = form_of(client.get(job)) | {"aim": "5 nm", "target": "1 2 3", "serial": "SN-7"}
+    answer = client.form(f"{job}/choose", form | {"action": "measure"})
+    assert answer.status == 400
+    assert field_of(answer, "aim") == ("5 nm", True)
+    assert field_of(answer, "target") == ("1 2 3", True)
+    assert field_of(answer, "serial") == ("SN-7", False)
+    assert 'id="f-target-fault"' in answer.text
+    assert 'id="f-serial-fault"' not in answer.text
+    emptied = form_of(answer)
+    assert emptied["was:aim"] == "5 nm"
+    answer = client.form(f"{job}/choose", emptied | {"aim": "0,2", "action": "measure"})
+    assert answer.status == 400
+    assert field_of(answer, "aim") == ("0,2", False)
+    assert field_of(answer, "target") == ("1 2 3", True)
+    answer = client.form(
+        f"{job}/choose", form_of(answer) | {"robot_name": "pigeon", "action": "look"}
+    )
+    assert answer.status == 400
+    assert field_of(answer, "robot_name") == ("pigeon", True)
+    last = form_of(answer) | {"robot_name": "ur10e", "target": "", "action": "measure"}
+    assert client.form(f"{job}/choose", last).status == 303
+    kept = json.loads((client.folder / job[6:] / "session" / "session.json").read_text())
+    assert kept["aim"]["error_m"] == pytest.approx(2e-4)
+    assert "target_mm" not in (client.folder / job[6:] / "cell.toml").read_text()
+
+
+def test_a_session_whose_instrument_is_not_there_can_be_set_up_again(client: Client):
+    job = client.upload("/measure", [], robot_name="ur10e").to
+    form = form_of(client.get(job)) | {"reader": "file:", "action": "measure"}
+    answer = client.form(f"{job}/choose", form)
+    assert answer.status == 400
+    assert field_of(answer, "reader")[0] == "file:"
+    right = form_of(answer) | {"reader": "", "action": "measure"}
+    assert client.form(f"{job}/choose", right).status == 303
+    assert 'id="entry"' in client.get(job).text
 
 
 def test_the_ghost_is_a_page_of_its_own(client: Client):

@@ -50,7 +50,7 @@ def used_keys() -> set[str]:
         keys |= set(re.findall(_CALL, path.read_text(encoding="utf-8")))
     for path in FOLDER.parent.glob("*.py"):
         text = path.read_text(encoding="utf-8")
-        keys |= set(re.findall(r'"((?:doubt|missing|cause|outcome)_\w+)"', text))
+        keys |= set(re.findall(r'"((?:doubt|missing|cause|outcome|done)_\w+)"', text))
         keys |= set(re.findall(_CALL, text))
     return keys
 

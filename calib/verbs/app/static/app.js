@@ -169,7 +169,15 @@ each("[data-live]", (sitting) => {
   const look = async () => {
     try {
       const answer = await fetch(`${sitting.dataset.live}?v=${encodeURIComponent(sitting.dataset.version)}`, { cache: "no-store" });
-      if (answer.status === 200) {
+      if (answer.status === 200 && answer.headers.get("x-paused")) {
+        if (!isTyping()) {
+          location.reload();
+          return;
+        }
+      } else if (answer.status === 200 && !document.getElementById("live-top")) {
+        location.reload();
+        return;
+      } else if (answer.status === 200) {
         const part = new DOMParser().parseFromString(await answer.text(), "text/html");
         const isOther = answer.headers.get("x-form") !== String(Boolean(entry));
         if (isOther && !isTyping()) {
@@ -183,6 +191,7 @@ each("[data-live]", (sitting) => {
         // A reading that is being typed stays one of the pose that was shown.
         if (!isTyping()) each("input[name=pose]", (input) => { input.value = pose; }, sitting.querySelector(".now"));
         offerCopies();
+        if (document.activeElement === document.body) each("button[data-first]", (button) => button.focus({ preventScroll: true }));
       }
     } catch {
       // The server is away; it may come back.
@@ -193,7 +202,7 @@ each("[data-live]", (sitting) => {
 });
 
 // One types at once; what is to be read first stays in sight.
-each("input[data-first]", (input) => input.focus({ preventScroll: true }));
+each("[data-first]", (input) => input.focus({ preventScroll: true }));
 
 // Numbers that were copied as one row fall into the fields of a reading one after the other.
 each(".entry fieldset", (fields) => {
