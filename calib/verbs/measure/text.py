@@ -203,9 +203,24 @@ def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
 def error_text(state: State) -> str:
     """Return the expected error beside the aim, and how many poses are still needed."""
     if state.error is None or state.high is None:
-        return "its error is not known yet"
+        because = " while it is undecided what has moved" if _is_undecided(state) else " yet"
+        return f"its error is not known{because}"
     text = f"error at most {_size(state.high)}, aim {_size(state.aim)}"
-    return text if state.reached else f"{text}, {needed_text(state)}"
+    return text if state.reached else f"{text}, {_left_text(state)}"
+
+
+def _left_text(state: State) -> str:
+    """Return what the aim, which is not reached, still lacks: poses, or why an error below it is not enough."""
+    if state.high is None or state.high > state.aim:
+        return needed_text(state)
+    if _is_undecided(state):
+        return "not reached while it is undecided what has moved"
+    return "not reached before two stops were found good by the others"
+
+
+def _is_undecided(state: State) -> bool:
+    """Return whether something has moved, and it is not known yet what."""
+    return any(finding.code == "something_moved" for finding in state.findings)
 
 
 def needed_text(state: State) -> str:
@@ -304,12 +319,13 @@ def state_lines(robot: Robot, state: State) -> Iterator[Line]:
             fill(
                 f"Expected error of the calibrated robot: {_size(state.error)}, from {_size(state.low)} to "
                 f"{_size(state.high)} (90 %); aim {_size(state.aim)}, "
-                f"{'reached' if state.reached else needed_text(state)}."
+                f"{'reached' if state.reached else _left_text(state)}."
             ),
             GOOD if state.reached else "",
         )
     else:
-        yield f"Expected error: not known yet; aim {_size(state.aim)}.", ""
+        because = " while it is undecided what has moved" if _is_undecided(state) else " yet"
+        yield f"Expected error: not known{because}; aim {_size(state.aim)}.", ""
     if state.nominal is not None:
         yield f"Error of the nominal robot, as the stops show it: {_size(state.nominal)}.", ""
     if state.sigma:

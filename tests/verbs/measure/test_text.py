@@ -130,6 +130,18 @@ def test_poses_to_go():
         assert error_text(replace(STATE, needed=needed)).endswith(words)
 
 
+def test_an_error_below_an_aim_that_is_not_reached_says_why():
+    below = replace(STATE, high=1.4e-4, needed=(1, 1))
+    moved = replace(below, findings=(Finding("something_moved", (5, 6)),))
+    for state, why in ((below, "two stops were found good"), (moved, "undecided what has moved")):
+        assert why in error_text(state)
+        assert why in " ".join(joined(state_lines(None, state)).split())
+        assert "to go" not in error_text(state)
+    unknown = replace(moved, error=None, low=None, high=None)
+    assert "undecided what has moved" in error_text(unknown)
+    assert "undecided what has moved" in joined(state_lines(None, unknown))
+
+
 def test_an_aim_that_is_reached_is_said():
     assert joined(reached_lines(can_type=False)) == "The aim is reached."
     assert "'done'" in joined(reached_lines(can_type=True))
