@@ -293,6 +293,20 @@ class Session:
                 self._proposed = self._propose()
             return self._proposed
 
+    def expected(self, joints: Array) -> Array:
+        """Predict where each target is in the measurement frame, by what is known so far.
+
+        Args:
+            joints: Joint values, shape (m,), [rad] or [m].
+
+        Returns:
+            Shape (k, 3), in the order of `sights` [m]; before the frame is known, as the cell states it.
+        """
+        course = self._course
+        if course.fit is None or course.fit.rows.samples.internals is not None or course.breaks:
+            return np.asarray(course.design.sensitivity.expected(joints[None])[0])
+        return course.fit.places(joints)
+
     def add(self, row: Row | Mapping[str, Any], *, key: str = "") -> Answer:
         """Add what was measured at a stop, and say what it says.
 
@@ -432,20 +446,13 @@ class Session:
         return NextPose(
             joints=q,
             via=via,
-            expected=self._expected(q),
+            expected=self.expected(q),
             targets=tuple(target for _, target in sensitivity.sights),
             error=error,
             why=why,  # type: ignore[arg-type]
             stop=number,
             travel=0.0 if last is None else float(np.abs(q - last).max()),
         )
-
-    def _expected(self, q: Array) -> Array:
-        """Predict where each target will be in the measurement frame, shape (k, 3), [m]."""
-        course = self._course
-        if course.fit is None or course.fit.rows.samples.internals is not None or course.breaks:
-            return np.asarray(course.design.sensitivity.expected(q[None])[0])
-        return course.fit.places(q)
 
     def _row_of(self, row: Row | Mapping[str, Any], pose: NextPose | None) -> Row:
         """Return a row as the session keeps it: columns in the robot's order, the proposed pose if none is given."""

@@ -210,11 +210,12 @@ class Station:
             return None
         row = self.session.stops[-1].row
         number = self.session.undo("measured again")
+        sights = self.session.sights
         self._repeated = NextPose(
             joints=row.joints,
             via=None if row.moves is None else row.joints - row.moves,
-            expected=np.empty((0, 3)),
-            targets=(),
+            expected=self.session.expected(row.joints),
+            targets=tuple(target for _, target in sights),
             error=None,
             why="again",
             stop=number,
@@ -249,7 +250,8 @@ class Station:
         """
         if not isinstance(self._controller, TypedController | None):
             raise MeasurementError(
-                "The joint values are those of the controller; they are not typed."
+                "The controller says where the robot stands, so that 'at' is not needed: drive the robot to where "
+                "it is to be measured, and measure there."
             )
         if self._controller is None:
             self._controller = TypedController("", self.context)
@@ -308,8 +310,11 @@ class Station:
     # Inside
 
     def _drain(self) -> int:
-        """Leave out what an instrument that is not asked gave for earlier poses, and count it."""
-        if self._instrument is None or self.is_asked:
+        """Leave out what an instrument that is not asked gave for earlier poses, and count it.
+
+        One that is told its pose measures nothing else: to read it would be to measure the pose before.
+        """
+        if self._instrument is None or self.is_asked or self.is_told:
             return 0
         count = 0
         while True:

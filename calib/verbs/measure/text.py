@@ -62,7 +62,7 @@ def opening_lines(session: Session, *, goes_on: bool) -> Iterator[Line]:
     state = session.state
     begun = "goes on" if goes_on else "begins"
     robot = session.robot
-    counted = f" with {plural(state.stops, 'stop')}" if goes_on else ""
+    counted = f" with {_counted(state)}" if goes_on else ""
     yield (
         f"The session in '{session.folder}' {begun}{counted}: robot '{robot.name}', "
         f"{robot.base} to {robot.tip}.",
@@ -81,6 +81,13 @@ def opening_lines(session: Session, *, goes_on: bool) -> Iterator[Line]:
             ),
             LOOK,
         )
+
+
+def _counted(state: State) -> str:
+    """Return how many stops a session has, and how many of them count if not all do."""
+    if state.stops == state.measured:
+        return plural(state.stops, "stop")
+    return f"{state.stops} of {plural(state.measured, 'stop')} that count"
 
 
 def hint_line(*, has_instrument: bool) -> Line:
@@ -114,10 +121,12 @@ def pose_lines(session: Session, pose: NextPose, state: State) -> Iterator[Line]
 
 def _title(session: Session, pose: NextPose, state: State) -> str:
     """Return the title of a pose: the number of its stop, how many are needed in all, and why it is next."""
-    title = f"Stop {len(session.stops) + 1}"
+    number = len(session.stops) + 1
+    title = f"Stop {number}"
     if pose.stop is not None:
-        why = "is far off by now" if pose.why == "outlier" else "is to be measured again"
-        return f"{title}: stop {pose.stop} {why}; the same pose"
+        repeats = "once more" if pose.stop == number else f"repeats stop {pose.stop}"
+        why = ", which is far off by now" if pose.why == "outlier" else ""
+        return f"{title} {repeats}{why}: drive the robot to the same pose"
     if state.needed is not None and not state.reached:
         title += f" of {_about(*(len(session.stops) + n for n in state.needed))}"
     return f"{title}: drive the robot to"
@@ -192,7 +201,7 @@ def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
     yield f"Stop {answer.stop}: {words}", style
     for finding in answer.findings:
         yield (
-            fill(finding_text(robot, finding), _INDENT),
+            fill(finding_text(robot, finding, answer.stop), _INDENT),
             BAD if answer.outcome == "again" else LOOK,
         )
     if answer.outcome == "again" and not answer.findings:
@@ -250,12 +259,23 @@ def _size(value: float, unit: str = "m") -> str:
     return f"{shown(value, unit, max(of_unit.digits - large, 0))} {of_unit.shown}"
 
 
-def finding_text(robot: Robot, finding: Finding) -> str:
-    """Return what may be wrong, and what to do."""
+def finding_text(robot: Robot | None, finding: Finding, answered: int | None = None) -> str:
+    """Return what may be wrong, and what to do.
+
+    Args:
+        robot: The robot; None: how far a joint is off is left out, since its unit is not known.
+        finding: What may be wrong.
+        answered: Number of the stop at which it was found; None: it is not told from an earlier one.
+    """
     values, name = finding.values, finding.name
     since = row_ranges(finding.stops[:1])
     stop = values.get("stop", 0.0)
     match finding.code:
+        case "gross" if answered is not None and answered not in finding.stops:
+            return (
+                f"Stop {row_ranges(finding.stops)} is far off by now and no longer counts. Nothing is to be done: the "
+                "next poses make up for it."
+            )
         case "gross":
             off = [(f"off_{unit}", unit) for unit in RESIDUAL_UNITS]
             size = ", ".join(_size(values[key], unit) for key, unit in off if key in values)
@@ -295,15 +315,17 @@ def finding_text(robot: Robot, finding: Finding) -> str:
             )
 
 
-def _not_there(robot: Robot, finding: Finding) -> str:
+def _not_there(robot: Robot | None, finding: Finding) -> str:
     """Return the text of a reading that fits another pose."""
     if finding.name and "change" in finding.values:
-        is_length = robot.joint_types[finding.name] == "prismatic"
-        factor, unit = joint_unit(prismatic=is_length)
-        change = number(factor * finding.values["change"], 2, sign="+")
+        change = "off"
+        if robot is not None:
+            is_length = robot.joint_types[finding.name] == "prismatic"
+            factor, unit = joint_unit(prismatic=is_length)
+            change = f"{number(factor * finding.values['change'], 2, sign='+')} {unit}"
         return (
-            f"The reading fits if '{finding.name}' is {change} {unit} from its value: was that typed wrongly, or is "
-            "the robot not there? Type 'at' and the joint values of the controller, and measure it again."
+            f"The reading fits if '{finding.name}' is {change} from its value: was that noted wrongly, or is the "
+            "robot not there? Give the joint values of the controller, and measure it again."
         )
     return (
         "The reading fits another pose: the robot is not where it was sent, or the reading was made too early. Check "
@@ -313,7 +335,7 @@ def _not_there(robot: Robot, finding: Finding) -> str:
 
 def state_lines(robot: Robot, state: State) -> Iterator[Line]:
     """Yield what is known after the stops so far, and what would help."""
-    yield f"{plural(state.stops, 'stop')} of {state.measured} measured count.", LARGE
+    yield count_text(state.stops, state.measured), LARGE
     if state.error is not None and state.low is not None and state.high is not None:
         yield (
             fill(
@@ -333,10 +355,18 @@ def state_lines(robot: Robot, state: State) -> Iterator[Line]:
     for finding in state.findings:
         text = finding_text(robot, finding)
         if finding.code == "gross":
-            text = f"Stop {row_ranges(finding.stops)} does not fit the others by now; it has little weight."
+            text = f"Stop {row_ranges(finding.stops)} is far off by now; it counts little, or no longer."
         yield fill(text), LOOK
     for advice in state.advice:
         yield fill(advice_text(advice)), ""
+
+
+def count_text(stops: int, measured: int) -> str:
+    """Return how many stops count, of those that were measured."""
+    if not measured:
+        return "No stop is measured yet."
+    verb = "counts" if 1 in (stops, measured) else "count"
+    return f"{stops} of {plural(measured, 'stop')} {verb}."
 
 
 def advice_text(advice: Advice) -> str:
@@ -380,11 +410,21 @@ def reached_lines(*, can_type: bool) -> Iterator[Line]:
         yield f"{_INDENT}'done' ends the session; further stops make it better still.", ""
 
 
-def help_lines(*, several: bool) -> Iterator[Line]:
-    """Yield the commands; ``several``: a stop has several targets."""
-    shown_commands = {k: v for k, v in COMMANDS.items() if several or k != "enough"}
-    width = max(map(len, shown_commands))
-    for command, what in shown_commands.items():
+def commands(*, several: bool, has_robot: bool) -> dict[str, str]:
+    """Return the commands that there are, with what they do.
+
+    Args:
+        several: Whether a stop has several targets.
+        has_robot: Whether a controller says where the robot stands, so that it is not typed.
+    """
+    missing = {"enough": not several, "at": has_robot}
+    return {k: v for k, v in COMMANDS.items() if not missing.get(k.split()[0])}
+
+
+def help_lines(known: Mapping[str, str]) -> Iterator[Line]:
+    """Yield commands, as of `commands`."""
+    width = max(map(len, known))
+    for command, what in known.items():
         yield f"{_INDENT}{command:<{width}}  {what}", ""
 
 
