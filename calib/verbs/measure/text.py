@@ -185,19 +185,32 @@ def late_line(count: int) -> Line:
     return f"{_INDENT}{came} left out. Measure here.", LOOK
 
 
+def answer_summary(answer: Answer) -> str:
+    """Return the answer to a stop as text, with the error after it in place of that beside the aim."""
+    error = "its error is not known yet"
+    if answer.after is not None:
+        error = f"error at most {_size(answer.after)}"
+    return joined(_answer_lines(None, answer, error))
+
+
 def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
     """Yield the answer to a stop: in a line whether it counts, how far it is off, and the error; then what to do."""
+    yield from _answer_lines(robot, answer, error_text(state))
+
+
+def _answer_lines(robot: Robot | None, answer: Answer, error: str) -> Iterator[Line]:
+    """Yield the answer to a stop, with words on the expected error."""
     off = _sizes(answer.residual)
     if answer.outcome == "good":
         usual = f" (usual: {_sizes(answer.usual)})" if answer.usual else ""
-        words, style = f"good | off by {off}{usual}", GOOD
+        words, style = f"good | off by {off}{usual}" if off else "good", GOOD
     elif answer.outcome == "again":
         words, style = "NOT GOOD, it does not count", BAD
         words += f" | off by {off}" if off else ""
     else:
         words, style = "taken | too few stops to check it", ""
     if answer.outcome != "again":
-        words += f" | {error_text(state)}"
+        words += f" | {error}"
     yield f"Stop {answer.stop}: {words}", style
     for finding in answer.findings:
         yield (

@@ -123,7 +123,7 @@ def test_a_person_types_in_a_terminal_leaves_by_ctrl_c_and_goes_on(shop: Path, a
         terminal.until("take the last stop back")
         for typed, said in {
             "hello": "'hello' is neither a command nor a row of numbers",
-            "0.8 0.1 0.2": "say so in the",
+            "0.8 0.1 0.2": "--unit m",
             "at 10 20": "is not where the robot stands",
             "note": "Write the remark after the word",
             "undo": "There is no stop to take back yet",

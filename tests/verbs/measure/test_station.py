@@ -64,6 +64,20 @@ def test_a_header_or_a_unit_says_in_which_unit_it_is(session):
         Station(session, unit="deg")
 
 
+@pytest.mark.parametrize(
+    ("unit", "line", "right"), [("mm", "2.6 0.3 0.4", "m"), ("m", "2600 300 400", "mm")]
+)
+def test_a_place_in_another_unit_is_refused_and_the_option_named(session, unit, line, right):
+    with Station(session, unit=unit) as station:
+        station.propose()
+        station.enter(line)
+        with pytest.raises(MeasurementError, match=f"--unit {right};") as refused:
+            station.read(0.0)
+        assert f"Give it in {unit}" in str(refused.value)
+        assert "header" not in str(refused.value)
+        assert station.read(0.0) is None
+
+
 def test_half_a_line_is_refused_and_the_next_one_counts(session):
     with Station(session) as station:
         station.propose()

@@ -69,6 +69,17 @@ def test_a_good_stop_is_one_green_line_with_residual_usual_size_error_and_aim(ur
     assert style == GOOD
 
 
+def test_an_answer_is_shown_as_its_line():
+    answer = Answer(7, "good", {"m": 4.1e-5}, {"m": 3.5e-5}, 1.2, 3, (), 4e-4, 3.2e-4)
+    line = "Stop 7: good | off by 0.041 mm (usual: 0.035 mm) | error at most 0.320 mm"
+    assert answer.summary() == str(answer) == line
+    assert Answer(1, "unknown").summary().endswith("its error is not known yet")
+    finding = Finding("not_there", (7,), {"change": 0.1}, "elbow_joint")
+    wrong = replace(answer, outcome="again", findings=(finding,)).summary()
+    assert wrong.startswith("Stop 7: NOT GOOD, it does not count | off by 0.041 mm")
+    assert "'elbow_joint' is off from its value" in wrong
+
+
 def test_a_stop_that_does_not_count_is_red_and_says_what_to_do(ur3):
     finding = Finding("gross", (7,), {"off_m": 0.0153})
     answer = Answer(7, "again", {"m": 0.0153}, {"m": 3.5e-5}, 900.0, 3, (finding,))
