@@ -231,7 +231,7 @@ def _simulate_session(
     from calib.verbs.simulate.operator import NO_MISTAKES, USUAL_MISTAKES, Operator
     from calib.verbs.simulate.scenario import with_robots_placed
     from calib.verbs.simulate.scenario_words import read_scenario
-    from calib.verbs.simulate.session_text import heading, result_lines, stop_line
+    from calib.verbs.simulate.session_text import heading, legend, result_lines, stop_line
     from calib.verbs.simulate.truth_file import write_session_truth
     from calib.verbs.simulate.virtual_session import (
         everywhere,
@@ -259,7 +259,7 @@ def _simulate_session(
         session = Session.start(folder, arm, known, aim, seed=seed, progress=progress)
     with session:
         if not quiet:
-            typer.echo(heading(arm))
+            typer.echo(f"{legend()}\n\n{heading(arm)}")
         for stop in measure_with(session, operator, MOST_STOPS):
             stops.append(stop.measurement)
             if not quiet:

@@ -32,27 +32,25 @@ _JOINT = 7
 #: Columns of a stop's number, of a residual with its unit, and of an expected error.
 _STOP, _RESIDUAL, _ERROR = 4, 10, 9
 
-#: What the operator did, in a few words.
-_DONE = {
-    GROSS: "the reading is far off",
-    SWAPPED: "taken for each other",
-    REPEATED: "the reading before once more",
-    MISSED: "one pose late since stop {since}",
-    TARGET_MOVED: "the target is knocked",
-    BASE_MOVED: "the {name} is knocked",
-    NOT_THERE: "the robot is not there",
+#: Mistakes and findings in a few words, the same for what is wrong in truth and for what the session says.
+_TERMS = {
+    GROSS: "far off",
+    SWAPPED: "swapped",
+    REPEATED: "earlier reading once more",
+    MISSED: "of another pose, one late",
+    TARGET_MOVED: "target moved",
+    BASE_MOVED: "base or instrument moved",
+    NOT_THERE: "of another pose",
+    "something_moved": "something moved",
 }
 
-#: What the session says of it.
-_SAID = {
-    "gross": "far off",
-    "swapped": "swapped",
-    "repeated": "that of an earlier stop",
-    "not_there": "of another pose",
-    "target_moved": "the target has moved",
-    "base_moved": "base or instrument has moved",
-    "something_moved": "something has moved",
-}
+
+def legend() -> str:
+    """Return what the columns of `stop_line` mean."""
+    return fill(
+        "residual: how far the reading is from what was expected; error: expected error of the calibrated robot in mm, "
+        "at most, with 95 %; said: what the session says of the stop, in brackets what is wrong in truth."
+    )
 
 
 def heading(robot: Robot) -> str:
@@ -61,14 +59,14 @@ def heading(robot: Robot) -> str:
     unit = "mm" if all(slides) else "deg, mm" if any(slides) else "deg"
     joints = f"joint values [{unit}]".ljust(_JOINT * len(slides) + 1)
     return (
-        f"{'stop':>{_STOP}}  {joints}{'residual':>{_RESIDUAL}}{'error':>{_ERROR}}  what is said"
+        f"{'stop':>{_STOP}}  {joints}{'residual':>{_RESIDUAL}}{'error':>{_ERROR}}  said"
     ).rstrip()
 
 
 def stop_line(robot: Robot, stop: VirtualStop) -> str:
     """Return a stop in a line: number, joint values, residual, expected error [mm], what is said, and the truth.
 
-    The truth is on a line of its own if there is no room.
+    What has no room is on a line of its own.
     """
     answer = stop.answer
     pose = "".join(
@@ -78,14 +76,15 @@ def stop_line(robot: Robot, stop: VirtualStop) -> str:
     figures = (
         f"{answer.stop:{_STOP}d}  {pose} {_residual(answer.residual):>{_RESIDUAL}}{error:>{_ERROR}}"
     )
-    line = f"{figures}  {_said(answer)}".rstrip()
     true = _true(stop.measurement)
-    if not true:
-        return line
-    in_truth = f"(in truth: {true})"
-    if len(line) + 1 + len(in_truth) <= WIDTH:
-        return f"{line} {in_truth}"
-    return f"{line}\n{' ' * _STOP}  {in_truth}"
+    in_truth = f"(in truth: {true})" if true else ""
+    lines = [figures]
+    for words, gap in ((_said(answer), "  "), (in_truth, " ")):
+        if len(lines[-1]) + len(gap) + len(words) <= WIDTH:
+            lines[-1] = f"{lines[-1]}{gap}{words}".rstrip()
+        else:
+            lines.append(f"{' ' * _STOP}  {words}")
+    return "\n".join(lines)
 
 
 def result_lines(state: State, result: Calibration, nominal: float, true: float) -> Iterator[str]:
@@ -131,17 +130,25 @@ def _residual(residual: Mapping[str, float]) -> str:
 
 
 def _said(answer: Answer) -> str:
-    """Word what the session says of a stop."""
-    findings = "; ".join(_finding(finding) for finding in answer.findings)
+    """Word what the session says of a stop; an earlier stop that is meant is named."""
+    findings = "; ".join(_finding(finding, answer.stop) for finding in answer.findings)
     if answer.outcome == "again":
         return f"again: {findings}" if findings else "again"
-    return findings or ("good" if answer.outcome == "good" else "")
+    outcome = "good" if answer.outcome == "good" else ""
+    return "; ".join(filter(None, (outcome, findings)))
 
 
-def _finding(finding: Finding) -> str:
-    """Word a finding: ``of another pose, elbow_joint``."""
-    words = _SAID[finding.code]
-    return f"{words}, {finding.name}" if finding.name else words
+def _finding(finding: Finding, stop: int) -> str:
+    """Word a finding at a stop: ``of another pose, elbow_joint``, or of an earlier one, ``stop 1: far off``."""
+    words = _TERMS[finding.code]
+    if finding.name:
+        words = f"{words}, {finding.name}"
+    first = min(finding.stops, default=stop)
+    if first == stop:
+        return words
+    if finding.code.endswith("moved"):
+        return f"{words} since stop {first}"
+    return f"stop {first}: {words}"
 
 
 def _true(measurement: Measurement) -> str:
@@ -150,6 +157,10 @@ def _true(measurement: Measurement) -> str:
     is_knock = mistake is not None and mistake.code in (TARGET_MOVED, BASE_MOVED)
     if mistake is None or (is_knock and mistake.since < measurement.number):
         return ""
-    words = _DONE[mistake.code].format(since=mistake.since, name=mistake.name)
+    words = _TERMS[mistake.code]
+    if mistake.code == MISSED:
+        words = f"{words} since stop {mistake.since}"
+    elif mistake.code in (SWAPPED, NOT_THERE, BASE_MOVED):
+        words = f"{words}, {mistake.name}" if mistake.name else words
     size = f"{mm(mistake.size, 1)} mm" if mistake.size else f"{np.degrees(mistake.turn):.2f} deg"
     return f"{words}, {size}"

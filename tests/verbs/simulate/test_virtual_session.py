@@ -13,9 +13,10 @@ from calib.robot.ranges import column_limits
 from calib.robot.robot import Robot
 from calib.verbs.measure.aim import Aim
 from calib.verbs.measure.session import Session
-from calib.verbs.simulate.operator import GROSS, Mistakes, Operator
+from calib.verbs.measure.stop import Answer, Finding
+from calib.verbs.simulate.operator import GROSS, MISTAKES, Mistake, Mistakes, Operator
 from calib.verbs.simulate.scenario import Scenario
-from calib.verbs.simulate.session_text import heading, result_lines, stop_line
+from calib.verbs.simulate.session_text import heading, legend, result_lines, stop_line
 from calib.verbs.simulate.virtual_session import everywhere, known_cell, measure_with, true_error
 
 
@@ -95,6 +96,44 @@ def test_a_pose_that_is_asked_for_again_is_measured_with_care(virtual, tmp_path,
     assert "again" in line
     assert "in truth" not in stop_line(ur3, again)
     assert len(heading(ur3)) <= 100
+
+
+@pytest.fixture
+def stop(virtual, tmp_path):
+    """The first stop of a session."""
+    with session_of(virtual, tmp_path / "first", 5e-5) as session:
+        return next(measure_with(session, Operator.of(virtual, 1), 1))
+
+
+@pytest.mark.parametrize("code", [code for code in MISTAKES if code != "missed"])
+def test_a_mistake_and_the_finding_of_it_have_the_same_words(ur3, stop, code):
+    mistake = Mistake(code, 1, 2e-3)
+    answer = Answer(1, "again", findings=(Finding(code, (1,)),))
+    plain = replace(stop, measurement=replace(stop.measurement, mistakes=()))
+    said = stop_line(ur3, replace(plain, answer=answer)).split("again: ")[1]
+    wrong = replace(stop, measurement=replace(stop.measurement, mistakes=(mistake,)))
+    assert f"(in truth: {said}, 2.0 mm)" in stop_line(ur3, wrong)
+
+
+@pytest.mark.parametrize(
+    ("finding", "words"),
+    [
+        (Finding("gross", (9,)), "good; far off"),
+        (Finding("gross", (1,)), "good; stop 1: far off"),
+        (Finding("target_moved", (7, 8, 9)), "good; target moved since stop 7"),
+        (Finding("something_moved", (9,)), "good; something moved"),
+    ],
+)
+def test_a_finding_about_an_earlier_stop_names_it(ur3, stop, finding, words):
+    answer = Answer(9, "good", findings=(finding,))
+    line = stop_line(ur3, replace(stop, answer=answer))
+    assert line.endswith(f"  {words}")
+    assert max(map(len, line.splitlines())) <= 100
+
+
+def test_the_legend_says_what_the_columns_are():
+    assert "in mm, at most, with 95 %" in " ".join(legend().split())
+    assert max(map(len, legend().splitlines())) <= 100
 
 
 def test_what_is_known_of_a_tracker_s_cell_is_what_is_stated(virtual):
