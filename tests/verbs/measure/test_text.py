@@ -146,7 +146,7 @@ def test_poses_to_go():
 def test_an_error_below_an_aim_that_is_not_reached_says_why():
     below = replace(STATE, high=1.4e-4, needed=(1, 1))
     moved = replace(below, findings=(Finding("something_moved", (5, 6)),))
-    for state, why in ((below, "two stops were found good"), (moved, "undecided what has moved")):
+    for state, why in ((below, "once 2 stops are good"), (moved, "undecided what has moved")):
         assert why in error_text(state)
         assert why in " ".join(joined(state_lines(None, state)).split())
         assert "to go" not in error_text(state)
