@@ -13,6 +13,9 @@ from calib.verbs.workspace.region import Region
 #: Probability with which the error of a single calibration shall be within the aim.
 CONFIDENCE = 0.95
 
+#: Largest aim [m]: no robot needs a calibration for more, and 0.2 was meant in millimetres.
+_LARGEST = 0.05
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aim(Value):
@@ -33,6 +36,11 @@ class Aim(Value):
         """Refuse values of another type or out of range: `CalibError`."""
         if self.error is not None:
             check_number("error", self.error, 0.0)
+            if self.error > _LARGEST:
+                raise CalibError(
+                    f"The aim is an error of {self.error:g} m, more than {_LARGEST:g} m. Give it in metres: 0.2 mm is "
+                    "0.0002."
+                )
             if not self.error > 0.0:
                 raise CalibError(
                     "The aim is an error above 0; give for example 0.00015, in metres."

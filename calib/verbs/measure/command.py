@@ -218,7 +218,12 @@ def measure(
     from calib.verbs.measure.session import Session
     from calib.verbs.measure.settings import CELL, SETTINGS, TABLE
     from calib.verbs.measure.station import Station, check_devices
-    from calib.verbs.measure.text import calibrate_command, kept_text, opening_lines
+    from calib.verbs.measure.text import (
+        calibrate_command,
+        count_text,
+        kept_text,
+        opening_lines,
+    )
 
     outputs.check([robot, cell_options.file, starting.region])
     columns = devices.parsed()
@@ -268,7 +273,8 @@ def measure(
         typer.echo("")
         calibrate_files(named, table, FitOptions(cell_file), outputs)
         return
-    typer.echo(f"\n{counted} stops are in {table}, their cell in {cell_file}. Calibrate the robot:")
+    counts = count_text(counted, len(session.stops))
+    typer.echo(f"\n{counts} They are in {table}, their cell in {cell_file}. Calibrate the robot:")
     typer.echo(f"  {calibrate_command(named, str(table), str(cell_file))}")
 
 

@@ -256,8 +256,15 @@ class Course:
 
     @cached_property
     def expected(self) -> Expectation | None:
-        """The expected error of a calibration by the stops that count; None: there is no fit yet."""
-        if self.fit is None:
+        """The expected error of a calibration by the stops that count; None: not known yet.
+
+        That is before they have as many numbers as parameters can be determined, and while it is not known what has
+        moved: then only priors hold the rest, and they are wide.
+        """
+        numbers = len(self.counted) * self.design.measured.shape[1]
+        if self.fit is None or numbers < self.design.workspace.rank:
+            return None
+        if not all(broken.is_decided for broken in self.breaks):
             return None
         return self.design.expected(self.known.total, self.known.freedom)
 
@@ -273,11 +280,10 @@ class Course:
 
     @property
     def reached(self) -> bool:
-        """Whether the aim is reached: by what is expected, with stops that check each other, and nothing undecided."""
+        """Whether the aim is reached: by what is expected, and with stops that check each other."""
         if self.expected is None or self.expected.high > self.aim:
             return False
-        good = sum(stop.answer.outcome == "good" for stop in self.counted)
-        return good >= _CHECKED and all(broken.is_decided for broken in self.breaks)
+        return sum(stop.answer.outcome == "good" for stop in self.counted) >= _CHECKED
 
     # What is next
 
@@ -349,11 +355,12 @@ class Course:
             accepted = bool(together) or self._shows_another(row, check)
         outcome = "again" if not accepted else "good" if check.is_off is False else "unknown"
         prediction = check.prediction
+        shown = None if check.is_off is None else prediction
         answer = Answer(
             stop=number,
             outcome=outcome,  # type: ignore[arg-type]
-            residual={} if prediction is None else prediction.residual,
-            usual={} if prediction is None else prediction.usual,
+            residual={} if shown is None else shown.residual,
+            usual={} if shown is None else shown.usual,
             square=check.square,
             numbers=0 if prediction is None else len(prediction.y),
             findings=check.findings if not accepted else (),

@@ -17,11 +17,11 @@ from calib.verbs.measure.station import Station
 from calib.verbs.measure.stop import Row
 from calib.verbs.measure.text import (
     BAD,
-    COMMANDS,
     DIM,
     LOOK,
     advice_text,
     answer_lines,
+    commands,
     help_lines,
     hint_line,
     late_line,
@@ -218,7 +218,7 @@ class Dialogue:
                 case "quit" | "exit":
                     return "left"
                 case "help" | "?":
-                    say_lines(help_lines(several=len(self._station.context.targets) > 1))
+                    say_lines(help_lines(self._commands))
                 case "state":
                     say_lines(state_lines(self._session.robot, self._session.state))
                 case "note" if rest.strip():
@@ -243,7 +243,7 @@ class Dialogue:
                 case _ if line.startswith(_NUMBER) or "[" in line:
                     self._station.enter(line)
                 case _:
-                    known = ", ".join(command.split()[0] for command in COMMANDS)
+                    known = ", ".join(command.split()[0] for command in self._commands)
                     text = (
                         f"  '{word}' is neither a command nor a row of numbers. Commands: {known}."
                     )
@@ -251,6 +251,12 @@ class Dialogue:
         except CalibError as error:
             self._say_fault(error)
         return None
+
+    @property
+    def _commands(self) -> dict[str, str]:
+        """The commands that there are."""
+        several = len(self._station.context.targets) > 1
+        return commands(several=several, has_robot=self._station.has_robot)
 
     def _take_back(self, *, is_repeated: bool) -> _End | None:
         """Take the last stop back, and show its pose again or the next one."""

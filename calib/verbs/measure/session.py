@@ -17,7 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from calib.basics.arguments import check_callable, check_flags, check_path, check_type, check_whole
+from calib.basics.arguments import (
+    check_callable,
+    check_flags,
+    check_path,
+    check_type,
+    check_whole,
+    wrong_type,
+)
 from calib.basics.arrays import Array, read_only
 from calib.basics.dates import date_text, now
 from calib.basics.files import write_atomically
@@ -34,6 +41,7 @@ from calib.verbs.measure.aim import Aim
 from calib.verbs.measure.breaks import Break
 from calib.verbs.measure.course import Course, CurvePoint
 from calib.verbs.measure.design import Design
+from calib.verbs.measure.headers import column_fault, headers_of, quoted
 from calib.verbs.measure.journal import Journal
 from calib.verbs.measure.settings import (
     CELL,
@@ -83,12 +91,15 @@ class _Added:
 class Session:
     """A calibration that is being measured.
 
-    Example:
-        >>> session = calib.Session.start("session", "ur3", cell, calib.Aim(error=1e-4))
-        >>> while not session.state.reached:
-        ...     pose = session.next()
-        ...     answer = session.add(measured(pose.joints))
-        >>> result = session.calibrate()
+    For example::
+
+        cell = calib.Cell(base="base", tip="tool0", estimate_frame=True)
+        session = calib.Session.start("session", "ur3", cell, calib.Aim(error=1e-4))
+        while not session.state.reached:
+            print(session.next().joints)  # drive there, [rad]
+            x, y, z = map(float, input("x y z [mm]: ").split())
+            print(session.add({"x [mm]": x, "y [mm]": y, "z [mm]": z}).summary())
+        result = session.calibrate()
     """
 
     def __init__(self, folder: Path, settings: Settings, journal: Journal, course: Course) -> None:
@@ -141,6 +152,11 @@ class Session:
             FileError: The folder has a session, or cannot be written.
         """
         check_path("folder", folder)
+        if (Path(folder) / JOURNAL).exists():
+            raise FileError(
+                f"'{folder}' has a session already. Go on with it, calib.Session.open('{folder}'), or choose another "
+                "folder."
+            )
         check_type("aim", aim, Aim, "an Aim")
         check_flags(collisions=collisions)
         check_whole("seed", seed, 0)
@@ -264,6 +280,12 @@ class Session:
         return self._course.design.sensitivity.sights
 
     @property
+    def origin(self) -> str:
+        """What places are measured from, in words: the instrument, or the frame that the cell states."""
+        known = "the origin of the measurement frame"
+        return "the instrument" if self._settings.cell.estimate_frame else known
+
+    @property
     def state(self) -> State:
         """What is known after the stops so far."""
         with self._lock, one_blas_thread():
@@ -293,6 +315,20 @@ class Session:
                 self._proposed = self._propose()
             return self._proposed
 
+    def expected(self, joints: Array) -> Array:
+        """Predict where each target is in the measurement frame, by what is known so far.
+
+        Args:
+            joints: Joint values, shape (m,), [rad] or [m].
+
+        Returns:
+            Shape (k, 3), in the order of `sights` [m]; before the frame is known, as the cell states it.
+        """
+        course = self._course
+        if course.fit is None or course.fit.rows.samples.internals is not None or course.breaks:
+            return np.asarray(course.design.sensitivity.expected(joints[None])[0])
+        return course.fit.places(joints)
+
     def add(self, row: Row | Mapping[str, Any], *, key: str = "") -> Answer:
         """Add what was measured at a stop, and say what it says.
 
@@ -306,6 +342,7 @@ class Session:
             Whether it counts, how far it is from what was expected, what may be wrong, and the expected error.
 
         Raises:
+            ArgumentError: Neither a Row nor columns by their headers.
             MeasurementError: Readings that do not fit the cell, or of several poses.
             FileError: It cannot be kept; nothing was added.
         """
@@ -428,11 +465,11 @@ class Session:
             q = course.design.joints[candidate]
             via = None if moves is None else rounded(self.robot, q - moves[candidate])
             why, number = "information", None
-            error = None if course.fit is None else choice.after_next.high
+            error = None if course.expected is None else choice.after_next.high
         return NextPose(
             joints=q,
             via=via,
-            expected=self._expected(q),
+            expected=self.expected(q),
             targets=tuple(target for _, target in sensitivity.sights),
             error=error,
             why=why,  # type: ignore[arg-type]
@@ -440,22 +477,19 @@ class Session:
             travel=0.0 if last is None else float(np.abs(q - last).max()),
         )
 
-    def _expected(self, q: Array) -> Array:
-        """Predict where each target will be in the measurement frame, shape (k, 3), [m]."""
-        course = self._course
-        if course.fit is None or course.fit.rows.samples.internals is not None or course.breaks:
-            return np.asarray(course.design.sensitivity.expected(q[None])[0])
-        return course.fit.places(q)
-
     def _row_of(self, row: Row | Mapping[str, Any], pose: NextPose | None) -> Row:
         """Return a row as the session keeps it: columns in the robot's order, the proposed pose if none is given."""
         names = self.robot.joint_names
         moves = None
+        headers = tuple(headers_of(self._settings.cell.kind or "point", "mm"))
         if isinstance(row, Row):
             readings, moves = row.readings, row.moves
             columns: Mapping[str, Any] = readings.columns()
             if len(readings.joint_names) == 0 or readings.joint_names != names:
                 columns = {**_joint_columns(self.robot, row.joints, len(readings)), **columns}
+        elif not isinstance(row, Mapping) or not all(isinstance(name, str) for name in row):
+            named = f"the columns {quoted(headers)}" if headers else "columns of corners"
+            raise wrong_type("row", row, f"a mapping from {named} to numbers, or a Row")
         else:
             columns = {
                 name: value if isinstance(value, (list, tuple)) else [value]
@@ -470,7 +504,16 @@ class Session:
                     )
                 columns = {**_joint_columns(self.robot, pose.joints, count), **columns}
         columns = {name: values for name, values in columns.items() if name not in ("row", "set")}
-        table = self._table_of(columns)
+        try:
+            table = self._table_of(columns)
+        except MeasurementError as error:
+            fault = None
+            if headers and not isinstance(row, Row):
+                joints = [*_joint_columns(self.robot, np.zeros(len(names)), 1)]
+                fault = column_fault(row, headers, joints, self.origin)
+            if fault is None:
+                raise
+            raise MeasurementError(fault) from error
         if table.images and any(table.images):
             number = len(self._course.stops) + 1
             table = replace(table, images=tuple(f"{number:03d} {image}" for image in table.images))

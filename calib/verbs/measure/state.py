@@ -13,6 +13,7 @@ from calib.basics.values import Value, keep_read_only
 from calib.model.error_model import FRAME, TARGET
 from calib.verbs.measure.course import Course, CurvePoint
 from calib.verbs.measure.lost_motion import find_lost_motion
+from calib.verbs.measure.running_fit import RunningFit
 from calib.verbs.measure.stop import Finding
 
 #: Why a pose is next: it tells most (``"information"``), the last stop is to be measured again (``"again"``), or an
@@ -29,6 +30,9 @@ _MUCH = 0.4
 
 #: A part of space where the expected error is so many times the mean is named.
 _WORSE = 1.5
+
+#: Degrees of freedom of the residuals from which on the noise is known.
+_ENOUGH_FREEDOM = 10.0
 
 #: An instrument that is so many times as noisy as stated is named.
 _NOISY = 2.0
@@ -209,8 +213,13 @@ def _advice(course: Course) -> Iterator[Advice]:
         joint, change = lost
         yield Advice("lost_motion", {"change": change}, joint)
     noise = float(np.max(known.noise))
-    if noise > _NOISY:
+    if noise > _NOISY and course.fit is not None and _is_told(course.fit):
         yield Advice("noise", {"factor": noise})
+
+
+def _is_told(fit: RunningFit) -> bool:
+    """Return whether the residuals tell the noise from errors of the robot."""
+    return fit.fitted.estimate.freedom >= _ENOUGH_FREEDOM
 
 
 def _worst_region(course: Course, C: Array, total: float) -> Iterator[Advice]:

@@ -21,9 +21,8 @@ import calib.data.kinds as kinds
 from calib.basics.arrays import Array
 from calib.basics.files import make_folder, read_bytes, write_atomically
 from calib.basics.units import find_unit
-from calib.data.columns import COMMON, name_columns
+from calib.data.columns import name_columns
 from calib.data.forms.column_options import ColumnOptions
-from calib.data.forms.orientations import find_convention
 from calib.errors import CalibError, DeviceError, MeasurementError, choices
 from calib.verbs.detect.one_picture import find_corners
 from calib.verbs.measure.devices.controllers import (
@@ -36,6 +35,7 @@ from calib.verbs.measure.devices.lines import LineRows
 from calib.verbs.measure.devices.readers import READERS, Instrument, open_reader
 from calib.verbs.measure.devices.reading import Cells, Context, Reading
 from calib.verbs.measure.devices.typed import TypedController
+from calib.verbs.measure.headers import headers_of, misread_place
 from calib.verbs.measure.session import Session
 from calib.verbs.measure.state import NextPose
 from calib.verbs.measure.stop import Row
@@ -68,11 +68,13 @@ class _Stop:
 class Station:
     """A session with its instrument and its robot.
 
-    Example:
-        >>> with Station(session, "tcp:192.168.0.20:5000") as station:
-        ...     while station.propose() is not None:
-        ...         row = station.read()
-        ...         answer = session.add(row)
+    For example::
+
+        with Station(session, "tcp:192.168.0.20:5000") as station:
+            while station.propose() is not None:
+                answer = session.add(station.read())
+                station.added()
+                print(answer.summary())
     """
 
     def __init__(
@@ -100,8 +102,9 @@ class Station:
         check_devices(reader, controller, unit)
         self.session = session
         self._columns = columns
+        self._unit = unit
         robot, cell = session.robot, session.cell
-        self.headers = tuple(_headers(cell.kind or "point", unit, columns))
+        self.headers = tuple(headers_of(cell.kind or "point", unit, columns))
         targets = dict.fromkeys(target for _, target in session.sights)
         self._wanted = tuple(dict.fromkeys(session.sights))
         self.context = Context(
@@ -210,11 +213,12 @@ class Station:
             return None
         row = self.session.stops[-1].row
         number = self.session.undo("measured again")
+        sights = self.session.sights
         self._repeated = NextPose(
             joints=row.joints,
             via=None if row.moves is None else row.joints - row.moves,
-            expected=np.empty((0, 3)),
-            targets=(),
+            expected=self.session.expected(row.joints),
+            targets=tuple(target for _, target in sights),
             error=None,
             why="again",
             stop=number,
@@ -249,7 +253,8 @@ class Station:
         """
         if not isinstance(self._controller, TypedController | None):
             raise MeasurementError(
-                "The joint values are those of the controller; they are not typed."
+                "The controller says where the robot stands, so that 'at' is not needed: drive the robot to where "
+                "it is to be measured, and measure there."
             )
         if self._controller is None:
             self._controller = TypedController("", self.context)
@@ -308,8 +313,11 @@ class Station:
     # Inside
 
     def _drain(self) -> int:
-        """Leave out what an instrument that is not asked gave for earlier poses, and count it."""
-        if self._instrument is None or self.is_asked:
+        """Leave out what an instrument that is not asked gave for earlier poses, and count it.
+
+        One that is told its pose measures nothing else: to read it would be to measure the pose before.
+        """
+        if self._instrument is None or self.is_asked or self.is_told:
             return 0
         count = 0
         while True:
@@ -356,6 +364,14 @@ class Station:
             rows += self._rows_of_picture(picture)
         found: dict[tuple[str, str], list[Cells]] = {}
         for row in rows:
+            misread = (
+                misread_place(row, self.session.origin) if row.keys() >= {*self.headers} else None
+            )
+            if misread is not None:
+                fault, unit = misread
+                raise MeasurementError(
+                    f"{fault} Give it in {self._unit}, or choose --unit {unit}; it is left out."
+                )
             cells = {name: value for name, value in row.items() if name != "point"}
             sight = self._sight(cells, {*stop.rows, *found})
             if sight[1] and len({target for _, target in self._wanted}) > 1:
@@ -499,20 +515,3 @@ def check_devices(reader: str, controller: str, unit: str) -> None:
             raise DeviceError(plugins.unknown(what, name, known))
     if find_unit(unit).quantity != "length":
         raise CalibError(f"The unit '{unit}' is not one of length; give one such as 'mm'.")
-
-
-def _headers(kind: str, unit: str, columns: ColumnOptions | None) -> Iterator[str]:
-    """Yield the headers of what is read of one target, for rows without a header."""
-    of_kind = kinds.get(kind)
-    if of_kind.is_image:
-        return
-    if of_kind.position:
-        yield from (f"{axis} [{unit}]" for axis in "xyz")
-    if of_kind.orientation:
-        convention = None if columns is None else columns.orientation
-        names = ("rx", "ry", "rz") if convention is None else find_convention(convention).columns
-        angle = len(names) == 3
-        yield from (f"{name} [deg]" if angle else name for name in names)
-    for reading in of_kind.readings:
-        common = COMMON[reading.quantity]
-        yield f"{reading.name} [{unit if reading.quantity == 'length' else common}]"

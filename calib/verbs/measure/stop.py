@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calib.basics.arrays import Array, read_only
-from calib.basics.values import ReadOnlyMapping, Value, keep_read_only
+from calib.basics.values import ReadOnlyMapping, Value, keep_read_only, shown_by
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 
@@ -96,6 +96,14 @@ class Answer(Value):
     def __post_init__(self) -> None:
         """Keep read-only copies of the mappings."""
         keep_read_only(self, "residual", "usual")
+
+    def __str__(self) -> str:
+        """Return the answer as text, see `summary`."""
+        return self.summary()
+
+    def summary(self) -> str:
+        """Return the answer as `calib measure` says it: a line, then what may be wrong."""
+        return str(shown_by("verbs.measure.text").answer_summary(self))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

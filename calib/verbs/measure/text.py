@@ -62,7 +62,7 @@ def opening_lines(session: Session, *, goes_on: bool) -> Iterator[Line]:
     state = session.state
     begun = "goes on" if goes_on else "begins"
     robot = session.robot
-    counted = f" with {plural(state.stops, 'stop')}" if goes_on else ""
+    counted = f" with {_counted(state)}" if goes_on else ""
     yield (
         f"The session in '{session.folder}' {begun}{counted}: robot '{robot.name}', "
         f"{robot.base} to {robot.tip}.",
@@ -81,6 +81,13 @@ def opening_lines(session: Session, *, goes_on: bool) -> Iterator[Line]:
             ),
             LOOK,
         )
+
+
+def _counted(state: State) -> str:
+    """Return how many stops a session has, and how many of them count if not all do."""
+    if state.stops == state.measured:
+        return plural(state.stops, "stop")
+    return f"{state.stops} of {plural(state.measured, 'stop')} that count"
 
 
 def hint_line(*, has_instrument: bool) -> Line:
@@ -114,10 +121,12 @@ def pose_lines(session: Session, pose: NextPose, state: State) -> Iterator[Line]
 
 def _title(session: Session, pose: NextPose, state: State) -> str:
     """Return the title of a pose: the number of its stop, how many are needed in all, and why it is next."""
-    title = f"Stop {len(session.stops) + 1}"
+    number = len(session.stops) + 1
+    title = f"Stop {number}"
     if pose.stop is not None:
-        why = "is far off by now" if pose.why == "outlier" else "is to be measured again"
-        return f"{title}: stop {pose.stop} {why}; the same pose"
+        repeats = "once more" if pose.stop == number else f"repeats stop {pose.stop}"
+        why = ", which is far off by now" if pose.why == "outlier" else ""
+        return f"{title} {repeats}{why}: drive the robot to the same pose"
     if state.needed is not None and not state.reached:
         title += f" of {_about(*(len(session.stops) + n for n in state.needed))}"
     return f"{title}: drive the robot to"
@@ -176,23 +185,36 @@ def late_line(count: int) -> Line:
     return f"{_INDENT}{came} left out. Measure here.", LOOK
 
 
+def answer_summary(answer: Answer) -> str:
+    """Return the answer to a stop as text, with the error after it in place of that beside the aim."""
+    error = "its error is not known yet"
+    if answer.after is not None:
+        error = f"error at most {_size(answer.after)}"
+    return joined(_answer_lines(None, answer, error))
+
+
 def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
     """Yield the answer to a stop: in a line whether it counts, how far it is off, and the error; then what to do."""
+    yield from _answer_lines(robot, answer, error_text(state))
+
+
+def _answer_lines(robot: Robot | None, answer: Answer, error: str) -> Iterator[Line]:
+    """Yield the answer to a stop, with words on the expected error."""
     off = _sizes(answer.residual)
     if answer.outcome == "good":
         usual = f" (usual: {_sizes(answer.usual)})" if answer.usual else ""
-        words, style = f"good | off by {off}{usual}", GOOD
+        words, style = f"good | off by {off}{usual}" if off else "good", GOOD
     elif answer.outcome == "again":
         words, style = "NOT GOOD, it does not count", BAD
         words += f" | off by {off}" if off else ""
     else:
         words, style = "taken | too few stops to check it", ""
     if answer.outcome != "again":
-        words += f" | {error_text(state)}"
+        words += f" | {error}"
     yield f"Stop {answer.stop}: {words}", style
     for finding in answer.findings:
         yield (
-            fill(finding_text(robot, finding), _INDENT),
+            fill(finding_text(robot, finding, answer.stop), _INDENT),
             BAD if answer.outcome == "again" else LOOK,
         )
     if answer.outcome == "again" and not answer.findings:
@@ -203,9 +225,24 @@ def answer_lines(robot: Robot, answer: Answer, state: State) -> Iterator[Line]:
 def error_text(state: State) -> str:
     """Return the expected error beside the aim, and how many poses are still needed."""
     if state.error is None or state.high is None:
-        return "its error is not known yet"
+        because = " while it is undecided what has moved" if _is_undecided(state) else " yet"
+        return f"its error is not known{because}"
     text = f"error at most {_size(state.high)}, aim {_size(state.aim)}"
-    return text if state.reached else f"{text}, {needed_text(state)}"
+    return text if state.reached else f"{text}, {_left_text(state)}"
+
+
+def _left_text(state: State) -> str:
+    """Return what the aim, which is not reached, still lacks: poses, or why an error below it is not enough."""
+    if state.high is None or state.high > state.aim:
+        return needed_text(state)
+    if _is_undecided(state):
+        return "not reached while it is undecided what has moved"
+    return "not reached before two stops were found good by the others"
+
+
+def _is_undecided(state: State) -> bool:
+    """Return whether something has moved, and it is not known yet what."""
+    return any(finding.code == "something_moved" for finding in state.findings)
 
 
 def needed_text(state: State) -> str:
@@ -235,12 +272,23 @@ def _size(value: float, unit: str = "m") -> str:
     return f"{shown(value, unit, max(of_unit.digits - large, 0))} {of_unit.shown}"
 
 
-def finding_text(robot: Robot, finding: Finding) -> str:
-    """Return what may be wrong, and what to do."""
+def finding_text(robot: Robot | None, finding: Finding, answered: int | None = None) -> str:
+    """Return what may be wrong, and what to do.
+
+    Args:
+        robot: The robot; None: how far a joint is off is left out, since its unit is not known.
+        finding: What may be wrong.
+        answered: Number of the stop at which it was found; None: it is not told from an earlier one.
+    """
     values, name = finding.values, finding.name
     since = row_ranges(finding.stops[:1])
     stop = values.get("stop", 0.0)
     match finding.code:
+        case "gross" if answered is not None and answered not in finding.stops:
+            return (
+                f"Stop {row_ranges(finding.stops)} is far off by now and no longer counts. Nothing is to be done: the "
+                "next poses make up for it."
+            )
         case "gross":
             off = [(f"off_{unit}", unit) for unit in RESIDUAL_UNITS]
             size = ", ".join(_size(values[key], unit) for key, unit in off if key in values)
@@ -280,15 +328,17 @@ def finding_text(robot: Robot, finding: Finding) -> str:
             )
 
 
-def _not_there(robot: Robot, finding: Finding) -> str:
+def _not_there(robot: Robot | None, finding: Finding) -> str:
     """Return the text of a reading that fits another pose."""
     if finding.name and "change" in finding.values:
-        is_length = robot.joint_types[finding.name] == "prismatic"
-        factor, unit = joint_unit(prismatic=is_length)
-        change = number(factor * finding.values["change"], 2, sign="+")
+        change = "off"
+        if robot is not None:
+            is_length = robot.joint_types[finding.name] == "prismatic"
+            factor, unit = joint_unit(prismatic=is_length)
+            change = f"{number(factor * finding.values['change'], 2, sign='+')} {unit}"
         return (
-            f"The reading fits if '{finding.name}' is {change} {unit} from its value: was that typed wrongly, or is "
-            "the robot not there? Type 'at' and the joint values of the controller, and measure it again."
+            f"The reading fits if '{finding.name}' is {change} from its value: was that noted wrongly, or is the "
+            "robot not there? Give the joint values of the controller, and measure it again."
         )
     return (
         "The reading fits another pose: the robot is not where it was sent, or the reading was made too early. Check "
@@ -298,18 +348,19 @@ def _not_there(robot: Robot, finding: Finding) -> str:
 
 def state_lines(robot: Robot, state: State) -> Iterator[Line]:
     """Yield what is known after the stops so far, and what would help."""
-    yield f"{plural(state.stops, 'stop')} of {state.measured} measured count.", LARGE
+    yield count_text(state.stops, state.measured), LARGE
     if state.error is not None and state.low is not None and state.high is not None:
         yield (
             fill(
                 f"Expected error of the calibrated robot: {_size(state.error)}, from {_size(state.low)} to "
                 f"{_size(state.high)} (90 %); aim {_size(state.aim)}, "
-                f"{'reached' if state.reached else needed_text(state)}."
+                f"{'reached' if state.reached else _left_text(state)}."
             ),
             GOOD if state.reached else "",
         )
     else:
-        yield f"Expected error: not known yet; aim {_size(state.aim)}.", ""
+        because = " while it is undecided what has moved" if _is_undecided(state) else " yet"
+        yield f"Expected error: not known{because}; aim {_size(state.aim)}.", ""
     if state.nominal is not None:
         yield f"Error of the nominal robot, as the stops show it: {_size(state.nominal)}.", ""
     if state.sigma:
@@ -317,10 +368,18 @@ def state_lines(robot: Robot, state: State) -> Iterator[Line]:
     for finding in state.findings:
         text = finding_text(robot, finding)
         if finding.code == "gross":
-            text = f"Stop {row_ranges(finding.stops)} does not fit the others by now; it has little weight."
+            text = f"Stop {row_ranges(finding.stops)} is far off by now; it counts little, or no longer."
         yield fill(text), LOOK
     for advice in state.advice:
         yield fill(advice_text(advice)), ""
+
+
+def count_text(stops: int, measured: int) -> str:
+    """Return how many stops count, of those that were measured."""
+    if not measured:
+        return "No stop is measured yet."
+    verb = "counts" if 1 in (stops, measured) else "count"
+    return f"{stops} of {plural(measured, 'stop')} {verb}."
 
 
 def advice_text(advice: Advice) -> str:
@@ -364,11 +423,21 @@ def reached_lines(*, can_type: bool) -> Iterator[Line]:
         yield f"{_INDENT}'done' ends the session; further stops make it better still.", ""
 
 
-def help_lines(*, several: bool) -> Iterator[Line]:
-    """Yield the commands; ``several``: a stop has several targets."""
-    shown_commands = {k: v for k, v in COMMANDS.items() if several or k != "enough"}
-    width = max(map(len, shown_commands))
-    for command, what in shown_commands.items():
+def commands(*, several: bool, has_robot: bool) -> dict[str, str]:
+    """Return the commands that there are, with what they do.
+
+    Args:
+        several: Whether a stop has several targets.
+        has_robot: Whether a controller says where the robot stands, so that it is not typed.
+    """
+    missing = {"enough": not several, "at": has_robot}
+    return {k: v for k, v in COMMANDS.items() if not missing.get(k.split()[0])}
+
+
+def help_lines(known: Mapping[str, str]) -> Iterator[Line]:
+    """Yield commands, as of `commands`."""
+    width = max(map(len, known))
+    for command, what in known.items():
         yield f"{_INDENT}{command:<{width}}  {what}", ""
 
 

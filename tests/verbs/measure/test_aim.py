@@ -39,6 +39,12 @@ def test_numbers_out_of_range_are_refused(given: dict[str, Any]):
         calib.Aim(**given)
 
 
+def test_an_error_in_millimetres_is_refused_and_the_unit_is_said():
+    with pytest.raises(CalibError, match=r"in metres: 0\.2 mm is 0\.0002"):
+        calib.Aim(error=0.2)
+    assert calib.Aim(error=0.05).error == 0.05
+
+
 @pytest.mark.parametrize("given", [{"error": "0.1"}, {"poses": 4.5}, {"region": "box"}])
 def test_other_types_are_refused(given: dict[str, Any]):
     with pytest.raises(ArgumentError):

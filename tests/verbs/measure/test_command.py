@@ -75,7 +75,7 @@ def test_rows_that_are_piped_and_the_calibration(shop: Path, arm):
     taken = re.findall(r"^Stop (\d+): (?:taken|good|NOT GOOD)", done.stdout, re.MULTILINE)
     assert [*map(int, taken)] == [*range(1, 11)]
     assert "'1 2' is not a row of the columns" in done.stdout
-    assert " of 10 measured count" in done.stdout
+    assert " of 10 stops count" in done.stdout
     assert "Verdict:" in done.stdout
     assert "Written: new.urdf" in done.stdout
     with Session.open(shop / "s") as session:
@@ -95,7 +95,7 @@ def test_the_command_at_the_end_calibrates_the_same_table(shop: Path, arm):
     rows = rows_of(arm, shop / "other", 10)
     done = piped(shop, "\n".join([*rows, "done", "7 8 9"]), *START, "--aim", "0.1 mm")
     assert done.returncode == 0
-    assert "stops are in s/measurements.csv, their cell in s/cell.toml" in done.stdout
+    assert "of 10 stops count. They are in s/measurements.csv, their cell in" in done.stdout
     words = shlex.split(done.stdout.splitlines()[-1])
     assert words[:2] == ["calib", "calibrate"]
     assert calib(shop, *words[1 : words.index("--report")]).code == 0
@@ -123,7 +123,7 @@ def test_a_person_types_in_a_terminal_leaves_by_ctrl_c_and_goes_on(shop: Path, a
         terminal.until("take the last stop back")
         for typed, said in {
             "hello": "'hello' is neither a command nor a row of numbers",
-            "0.8 0.1 0.2": "say so in the",
+            "0.8 0.1 0.2": "--unit m",
             "at 10 20": "is not where the robot stands",
             "note": "Write the remark after the word",
             "undo": "There is no stop to take back yet",
@@ -160,7 +160,7 @@ def test_a_person_types_in_a_terminal_leaves_by_ctrl_c_and_goes_on(shop: Path, a
                 break
             q = terminal.pose()
         terminal.type("again")
-        terminal.until("is to be measured again; the same pose")
+        terminal.until("once more: drive the robot to the same pose")
         terminal.pose()
         terminal.type("quit")
         assert terminal.ended() == 0

@@ -310,3 +310,18 @@ def test_an_aim_is_not_reached_before_stops_check_each_other(empty, virtual):
     assert not replace(wide, stops=alone).reached
     undecided = Break(16, "target", "", np.eye(4), np.eye(4))
     assert not replace(wide, breaks=(undecided,)).reached
+
+
+def test_no_error_is_expected_before_the_stops_determine_the_robot(empty, virtual):
+    tables = good_readings(virtual, 16)
+    rank = empty.design.workspace.rank
+    fewest = -(-rank // 3)
+    assert with_rows(empty, tables[: fewest - 1]).expected is None
+    course = with_rows(empty, tables)
+    assert course.expected is not None
+    assert course.curve[0].stops == fewest
+    # Nor while it is not known what has moved.
+    undecided = Break(16, "target", "", np.eye(4), np.eye(4))
+    assert replace(course, breaks=(undecided,)).expected is None
+    # Nor has a stop a residual that cannot be judged yet.
+    assert [dict(stop.answer.residual) for stop in course.stops[:4]] == [{}] * 4

@@ -21,7 +21,7 @@ import calib
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.data.surroundings import Box, Tracker
-from calib.errors import CalibError, FileError, MeasurementError
+from calib.errors import ArgumentError, CalibError, FileError, MeasurementError
 from calib.robot.robot import Robot
 from calib.verbs.measure.aim import Aim
 from calib.verbs.measure.session import Session
@@ -276,6 +276,28 @@ def test_what_is_no_reading_of_the_session_is_refused_and_not_kept(empty, column
     assert (empty / JOURNAL).read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    "given", [[1, 2, 3], (1.0, 2.0, 3.0), "812 13 14", np.ones(3), None, {1: 2}, {"x": 1, 2: 3}]
+)
+def test_other_types_are_refused_and_the_columns_named(empty, given):
+    with Session.open(empty) as session:
+        with pytest.raises(ArgumentError, match=r"'x \[mm\]', 'y \[mm\]', 'z \[mm\]'"):
+            session.add(given)
+        assert session.stops == ()
+
+
+@pytest.mark.parametrize(
+    ("unit", "value"), [("", 812.0), (" [kg]", 812.0), (" [mm]", 1.3), (" [m]", 812.0)]
+)
+def test_a_wrong_unit_is_refused_without_options_of_the_command_line(empty, unit, value):
+    row = {f"{axis}{unit}": value for axis in "xyz"}
+    with Session.open(empty) as session, pytest.raises(MeasurementError) as raised:
+        session.add(row)
+    assert "'x [m" in str(raised.value)
+    assert "--" not in str(raised.value)
+    assert "header" not in str(raised.value)
+
+
 def test_readings_of_several_poses_are_refused(empty, virtual):
     tables = readings_at(virtual, virtual.poses(2, 1))
     with Session.open(empty) as session, pytest.raises(MeasurementError):
@@ -413,7 +435,7 @@ def test_one_at_a_time_has_a_folder(folder):
 
 
 def test_a_folder_with_a_session_or_a_table_is_refused(folder, virtual, tmp_path):
-    with pytest.raises(FileError):
+    with pytest.raises(FileError, match=r"calib\.Session\.open"):
         started(virtual, folder)
     (tmp_path / "t").mkdir()
     (tmp_path / "t" / TABLE).write_text("x")

@@ -64,6 +64,20 @@ def test_a_header_or_a_unit_says_in_which_unit_it_is(session):
         Station(session, unit="deg")
 
 
+@pytest.mark.parametrize(
+    ("unit", "line", "right"), [("mm", "2.6 0.3 0.4", "m"), ("m", "2600 300 400", "mm")]
+)
+def test_a_place_in_another_unit_is_refused_and_the_option_named(session, unit, line, right):
+    with Station(session, unit=unit) as station:
+        station.propose()
+        station.enter(line)
+        with pytest.raises(MeasurementError, match=f"--unit {right};") as refused:
+            station.read(0.0)
+        assert f"Give it in {unit}" in str(refused.value)
+        assert "header" not in str(refused.value)
+        assert station.read(0.0) is None
+
+
 def test_half_a_line_is_refused_and_the_next_one_counts(session):
     with Station(session) as station:
         station.propose()
@@ -202,7 +216,7 @@ def test_the_controller_says_where_the_robot_stands_once_it_stands_still(session
         server.q[1] = -1.0
         row = station.read(1.0)
         assert row.joints == pytest.approx(server.q)
-        with pytest.raises(MeasurementError, match="those of the controller"):
+        with pytest.raises(MeasurementError, match="controller says where the robot stands"):
             station.stands_at("0 0 0 0 0 0")
 
 
@@ -253,10 +267,28 @@ def test_the_last_pose_is_measured_again(session, ur3):
         again = station.propose()
         assert (again.why, again.stop) == ("again", 2)
         assert again.joints == pytest.approx(pose.joints)
+        assert again.expected == pytest.approx(session.expected(pose.joints))
+        assert again.targets == pose.targets
         station.enter(tracker.line(pose.joints))
         assert session.add(station.read(0.0)).stop == 2
         station.added()
         assert station.propose().joints != pytest.approx(pose.joints)
+
+
+def test_an_instrument_that_is_told_its_pose_has_no_reading_of_an_earlier_one(session):
+    with Station(session, "virtual:1") as station:
+        shown = [station.propose()]
+        for change in (session.skip, session.skip):
+            change()
+            shown.append(station.propose())
+            assert station.late == 0
+        assert np.abs(shown[2].joints - shown[1].joints).max() > 0.01
+        row = station.read(1.0)
+        assert row.joints == pytest.approx(shown[2].joints)
+        # The skipped poses were not measured: it is the first reading.
+        with Station(session, "virtual:1") as other:
+            other.propose()
+            assert other.read(1.0).readings.points == pytest.approx(row.readings.points)
 
 
 def test_devices_that_there_are_not_are_refused_and_the_session_stays_open(session):

@@ -18,6 +18,8 @@ from calib.verbs.measure.text import (
     advice_text,
     answer_lines,
     calibrate_command,
+    commands,
+    count_text,
     error_text,
     finding_text,
     help_lines,
@@ -31,7 +33,7 @@ from calib.verbs.measure.text import (
     state_lines,
     waiting_line,
 )
-from tests.verbs.measure.rehearsal import session_of
+from tests.verbs.measure.rehearsal import Tracker, session_of
 
 STATE = State(
     stops=7,
@@ -65,6 +67,17 @@ def test_a_good_stop_is_one_green_line_with_residual_usual_size_error_and_aim(ur
         "to go"
     )
     assert style == GOOD
+
+
+def test_an_answer_is_shown_as_its_line():
+    answer = Answer(7, "good", {"m": 4.1e-5}, {"m": 3.5e-5}, 1.2, 3, (), 4e-4, 3.2e-4)
+    line = "Stop 7: good | off by 0.041 mm (usual: 0.035 mm) | error at most 0.320 mm"
+    assert answer.summary() == str(answer) == line
+    assert Answer(1, "unknown").summary().endswith("its error is not known yet")
+    finding = Finding("not_there", (7,), {"change": 0.1}, "elbow_joint")
+    wrong = replace(answer, outcome="again", findings=(finding,)).summary()
+    assert wrong.startswith("Stop 7: NOT GOOD, it does not count | off by 0.041 mm")
+    assert "'elbow_joint' is off from its value" in wrong
 
 
 def test_a_stop_that_does_not_count_is_red_and_says_what_to_do(ur3):
@@ -130,6 +143,18 @@ def test_poses_to_go():
         assert error_text(replace(STATE, needed=needed)).endswith(words)
 
 
+def test_an_error_below_an_aim_that_is_not_reached_says_why():
+    below = replace(STATE, high=1.4e-4, needed=(1, 1))
+    moved = replace(below, findings=(Finding("something_moved", (5, 6)),))
+    for state, why in ((below, "two stops were found good"), (moved, "undecided what has moved")):
+        assert why in error_text(state)
+        assert why in " ".join(joined(state_lines(None, state)).split())
+        assert "to go" not in error_text(state)
+    unknown = replace(moved, error=None, low=None, high=None)
+    assert "undecided what has moved" in error_text(unknown)
+    assert "undecided what has moved" in joined(state_lines(None, unknown))
+
+
 def test_an_aim_that_is_reached_is_said():
     assert joined(reached_lines(can_type=False)) == "The aim is reached."
     assert "'done'" in joined(reached_lines(can_type=True))
@@ -137,11 +162,17 @@ def test_an_aim_that_is_reached_is_said():
 
 def test_the_state():
     text = joined(state_lines(None, STATE))  # without findings no robot is needed
-    for word in ("7 stops of 8", "0.250 mm, from 0.180 mm to 0.320", "2.10 mm", "Noise", "0.040"):
+    for word in (
+        "7 of 8 stops count",
+        "0.250 mm, from 0.180 mm to 0.320",
+        "2.10 mm",
+        "Noise",
+        "0.040",
+    ):
         assert word in text
     assert joined(state_lines(None, REACHED)).count("reached") == 1
     far_off = replace(STATE, findings=(Finding("gross", (2,)),))
-    assert "Stop 2 does not fit the others" in joined(state_lines(None, far_off))
+    assert "Stop 2 is far off by now" in joined(state_lines(None, far_off))
 
 
 def test_a_pose_is_shown_in_degrees_under_its_title(session):
@@ -159,9 +190,9 @@ def test_a_pose_is_shown_in_degrees_under_its_title(session):
 def test_a_pose_that_is_measured_again_names_its_stop(session):
     pose = session.next()
     again = NextPose(pose.joints, None, pose.expected, pose.targets, None, "again", 4, 0.0)
-    assert "stop 4 is to be measured again; the same pose" in joined(
-        pose_lines(session, again, STATE)
-    )
+    assert "Stop 1 repeats stop 4: drive" in joined(pose_lines(session, again, STATE))
+    last = replace(again, stop=1)
+    assert "Stop 1 once more: drive" in joined(pose_lines(session, last, STATE))
 
 
 def test_where_the_target_will_be_is_said_once_the_frame_is_known(session):
@@ -176,6 +207,11 @@ def test_a_session_begins_with_its_aim(session):
     assert "begins" in text
     assert "The aim is 0.100 mm rms over the joint ranges" in text
     assert "goes on with 0 stops" in joined(opening_lines(session, goes_on=True))
+    x, y, z = (Tracker(session.robot).points(session.next().joints))[0]
+    session.add({"x [mm]": x, "y [mm]": y, "z [mm]": z})
+    session.add({"x [mm]": x, "y [mm]": y, "z [mm]": z})  # once more, at another pose
+    assert session.state.stops == 1
+    assert "goes on with 1 of 2 stops that count" in joined(opening_lines(session, goes_on=True))
 
 
 def test_prompts_and_what_is_waited_for():
@@ -188,9 +224,31 @@ def test_prompts_and_what_is_waited_for():
 
 
 def test_help_has_every_command():
-    text = joined(help_lines(several=True))
+    text = joined(help_lines(commands(several=True, has_robot=False)))
     assert all(command in text for command in COMMANDS)
-    assert "enough" not in joined(help_lines(several=False))
+    assert {*COMMANDS} - {*commands(several=False, has_robot=False)} == {"enough"}
+    assert {*COMMANDS} - {*commands(several=True, has_robot=True)} == {"at J1 J2 ..."}
+
+
+def test_an_earlier_stop_that_is_far_off_is_not_to_be_measured_again(ur3):
+    answer = Answer(7, "good", {"m": 4e-5}, {"m": 4e-5}, findings=(Finding("gross", (2,)),))
+    _, (line, style) = answer_lines(ur3, answer, STATE)
+    assert line.strip().startswith("Stop 2 is far off by now and no longer counts")
+    assert "again" not in line
+    assert style == LOOK
+
+
+@pytest.mark.parametrize(
+    ("stops", "measured", "text"),
+    [
+        (0, 0, "No stop is measured yet."),
+        (0, 1, "0 of 1 stop counts."),
+        (1, 2, "1 of 2 stops counts."),
+        (8, 10, "8 of 10 stops count."),
+    ],
+)
+def test_how_many_stops_count(stops, measured, text):
+    assert count_text(stops, measured) == text
 
 
 def test_how_it_goes_on():
