@@ -11,12 +11,17 @@ from typing import Any
 import numpy as np
 
 from calib.basics.files import read_bytes
+from calib.data.kinds import get as kind_of
 from calib.result.calibration import Calibration
-from calib.show.lines import mm, number, row_ranges
+from calib.show.lines import deg, mm, number, row_ranges
+from calib.show.words import joint_unit
 from calib.verbs.app.sentences import Sentences
 
 #: Causes with a smaller probability are not listed; nearer to 1 than this a probability is not printed.
 _LISTED, _NEAREST = 0.005, 0.999
+
+#: With fewer poses a check shows little.
+_FEW = 3
 
 #: Shade and sign of an answer.
 _SHADES = {"nothing": ("good", "✓"), "moved": ("bad", "✕"), "other": ("bad", "✕")}
@@ -49,6 +54,11 @@ class Checked:
     matters: bool
     #: Number of further poses that would tell; 0: none are needed
     further: int
+    #: Whether these are too few poses to rely on
+    is_few: bool
+    #: What these poses would have shown, a line for each cause, and what they cannot show; empty: nothing
+    shown: tuple[str, ...]
+    unseen: str
 
 
 def checked_of(path: Path, result: Calibration, date: str, t: Sentences) -> Checked:
@@ -85,6 +95,10 @@ def checked_of(path: Path, result: Calibration, date: str, t: Sentences) -> Chec
         tolerance = table["tolerance_m"]
         allowed = mm(table["expected_m"] if tolerance is None else tolerance)
     further = table["further"]
+    is_few = table["stops"] < _FEW
+    if is_few and outcome == "nothing":
+        shade, sign = "care", "!"
+    seen, unseen = _noticed(table["noticed"], result, t, images=images)
     return Checked(
         robot=result.nominal.name,
         date=date,
@@ -97,7 +111,44 @@ def checked_of(path: Path, result: Calibration, date: str, t: Sentences) -> Chec
         allowed=allowed,
         matters=bool(table["matters"]),
         further=len(further["joints"]) if further else 0,
+        is_few=is_few,
+        shown=seen,
+        unseen=unseen,
     )
+
+
+def _noticed(
+    noticed: list[Mapping[str, Any]], result: Calibration, t: Sentences, *, images: bool
+) -> tuple[tuple[str, ...], str]:
+    """Return what the poses would have shown, a line for each cause, and what they cannot show, in words."""
+    kinds = [kind_of(kind) for kind in dict.fromkeys(result.rows.kinds)]
+    is_turned = any(kind.is_image or kind.orientation for kind in kinds)
+    lines, unseen = [], []
+    for one in noticed:
+        name = _name(one, t, images=images)
+        if one["code"] == "joint":
+            is_length = result.nominal.joint_types[one["name"]] == "prismatic"
+            factor, unit = joint_unit(prismatic=is_length)
+            size = one["shift_m" if is_length else "turn_rad"]
+            if size is None:
+                unseen.append(name)
+            else:
+                zero = t("noticed_zero", size=f"{number(factor * size)} {unit}")
+                lines.append(f"{name}: {zero}")
+            continue
+        parts = []
+        shift, turn = one["shift_m"], one["turn_rad"]
+        if shift is not None:
+            parts.append(t("noticed_shift", size=f"{mm(shift)} mm"))
+        else:
+            unseen.append(t("noticed_no_shift", name=name))
+        if turn is not None:
+            parts.append(t("noticed_turn", size=f"{deg(turn)} deg"))
+        elif one["code"] != "target" or is_turned:
+            unseen.append(t("noticed_no_turn", name=name))
+        if parts:
+            lines.append(f"{name}: {', '.join(parts)}")
+    return tuple(lines), t("noticed_not", names="; ".join(unseen)) if unseen else ""
 
 
 def _causes(causes: list[Mapping[str, Any]], t: Sentences, *, images: bool) -> Iterator[CauseLine]:

@@ -12,12 +12,13 @@ import numpy as np
 
 from calib.basics.arrays import Array
 from calib.basics.channels import RESIDUAL_UNITS
-from calib.show.lines import mm, number
+from calib.robot.robot import Robot
+from calib.show.lines import mm, number, row_ranges
 from calib.show.look import CALIBRATED
 from calib.show.scene.html_page import LegendEntry
 from calib.show.scene.posed_robot import PosedRobot, chain_bases, read_visuals
 from calib.show.scene.scene import draw_robot
-from calib.show.words import shown
+from calib.show.words import joint_unit, shown
 from calib.verbs.app.sentences import Sentences
 from calib.verbs.measure.course import CurvePoint
 from calib.verbs.measure.session import Session
@@ -71,6 +72,7 @@ class StopLine:
     number: int
     shade: str
     sign: str
+    words: str
     counts: bool
     residual: str
     findings: tuple[str, ...]
@@ -84,6 +86,8 @@ class AnswerView:
     shade: str
     sign: str
     sentence: str
+    #: What to do, where no finding says it; empty: nothing
+    help: str
     #: The residual with its unit, large; empty if nothing was expected
     residual: str
     usual: str
@@ -144,18 +148,39 @@ def pose_view(session: Session, pose: NextPose, *, is_placed: bool) -> PoseView:
     )
 
 
-def finding_text(finding: Finding, t: Sentences) -> str:
-    """Word a finding."""
-    stops = ", ".join(map(str, finding.stops))
-    other = finding.values.get("stop")
-    text = t(
+def finding_text(finding: Finding, robot: Robot, t: Sentences) -> str:
+    """Word a finding at its stop: what may be wrong, and what to do."""
+    values, name = finding.values, finding.name
+    if finding.code == "not_there" and name and "change" in values:
+        factor, unit = joint_unit(prismatic=robot.joint_types[name] == "prismatic")
+        change = f"{number(factor * values['change'], 2, sign='+')} {unit}"
+        return t("finding_not_there_joint", name=name, change=change)
+    order = f"xyz → {name}" if len(name) == len("xyz") and {*name} == {*"xyz"} else name
+    off = _residual({u: values[f"off_{u}"] for u in RESIDUAL_UNITS if f"off_{u}" in values})
+    return t(
         f"finding_{finding.code}",
-        stops=stops,
-        other="" if other is None else f"{other:.0f}",
-        name=finding.name or t("the_target"),
+        stop=row_ranges(finding.stops[:1]),
+        other=f"{values.get('stop', 0.0):.0f}",
+        name=name or t("the_target"),
+        order=f" ({order})" if name else "",
+        off=f" ({off})" if off else "",
     )
-    off = finding.values.get("off_m")
-    return f"{text} ({mm(off)} mm)" if off is not None else text
+
+
+def open_text(finding: Finding, robot: Robot, t: Sentences) -> str:
+    """Word a finding that is open: a stop that is far off was accepted, and has little weight by now."""
+    if finding.code == "gross":
+        return t("open_gross", stop=row_ranges(finding.stops))
+    return finding_text(finding, robot, t)
+
+
+def unreached_text(state: State, t: Sentences) -> str:
+    """Return why the aim is not reached though the expected error is within it; empty: more poses are needed."""
+    if any(finding.code == "something_moved" for finding in state.findings):
+        return t("unreached_undecided")
+    if not state.reached and state.high is not None and state.high <= state.aim:
+        return t("unreached_unchecked")
+    return ""
 
 
 def _residual(sizes: dict[str, float]) -> str:
@@ -164,7 +189,7 @@ def _residual(sizes: dict[str, float]) -> str:
     return ", ".join(parts)
 
 
-def answer_view(answer: Answer, t: Sentences) -> AnswerView:
+def answer_view(answer: Answer, robot: Robot, t: Sentences) -> AnswerView:
     """Return what was said of a stop, in words."""
     shade, sign = _SHADES[answer.outcome]
     change = ""
@@ -175,20 +200,27 @@ def answer_view(answer: Answer, t: Sentences) -> AnswerView:
         shade=shade,
         sign=sign,
         sentence=t(f"answer_{answer.outcome}", stop=answer.stop),
+        help=t("answer_help") if answer.outcome == "again" and not answer.findings else "",
         residual=_residual(dict(answer.residual)),
         usual=_residual(dict(answer.usual)),
-        findings=tuple(finding_text(finding, t) for finding in answer.findings),
+        findings=tuple(finding_text(finding, robot, t) for finding in answer.findings),
         change=change,
     )
 
 
-def stop_lines(stops: Sequence[Stop], t: Sentences) -> Iterator[StopLine]:
+def stop_lines(stops: Sequence[Stop], robot: Robot, t: Sentences) -> Iterator[StopLine]:
     """Yield the stops for the list, the last first."""
+    words = {"good": t("stop_good"), "again": t("stop_again"), "unknown": t("stop_unknown")}
     for stop in reversed(stops):
         shade, sign = _SHADES[stop.answer.outcome]
-        findings = tuple(finding_text(finding, t) for finding in stop.answer.findings)
         yield StopLine(
-            stop.number, shade, sign, stop.counts, _residual(dict(stop.answer.residual)), findings
+            number=stop.number,
+            shade=shade,
+            sign=sign,
+            words=words[stop.answer.outcome],
+            counts=stop.counts,
+            residual=_residual(dict(stop.answer.residual)),
+            findings=tuple(finding_text(one, robot, t) for one in stop.answer.findings),
         )
 
 

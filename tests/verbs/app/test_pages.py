@@ -337,8 +337,25 @@ def test_a_check_of_this_morning_s_rows(
     table = json.loads(checked.get(f"{job}/files/check.json").body)
     assert (table["outcome"] == "nothing") == (not moved)
     assert table["tolerance_m"] == 0.0005
+    assert "Fewer than three poses" not in text
+    box = text.partition('<section class="verdict')[2].partition("</section>")[0]
+    elbow = next(one for one in table["noticed"] if one["name"] == "elbow_joint")
+    assert f"elbow_joint: its zero by {np.rad2deg(elbow['turn_rad']):.3f} deg" in box
+    assert box.count("<li>") + box.count(";") + box.count("every ") >= len(table["noticed"])
     checked.cookies["calib_language"] = "de"
     assert ("Nichts hat sich bewegt." in checked.get(job).text) == (not moved)
+
+
+@pytest.mark.slow
+def test_a_check_of_two_poses_warns(checked: Client, tmp_path: Path):
+    rows = rows_of(points(POSES[:2]), tmp_path)
+    fields = {"result": "result.json", "key": checked.get("/check").key()}
+    job = checked.upload("/check", [("files", "rows.csv", rows)], **fields).to
+    assert checked.wait(job) == "done"
+    text = checked.get(job).text
+    assert '<section class="verdict care"' in text
+    assert "Fewer than three poses show little" in text
+    assert "They cannot show" in text
 
 
 @pytest.mark.slow

@@ -162,6 +162,18 @@ each("[data-print]", (button) => {
   button.addEventListener("click", () => window.print());
 });
 
+// A table that is wider than the window says so.
+each(".wide", (wide) => {
+  const hint = document.createElement("p");
+  hint.className = "scroll-hint screen";
+  hint.textContent = document.body.dataset.scroll;
+  hint.setAttribute("aria-hidden", "true");
+  wide.before(hint);
+  const look = () => { hint.hidden = wide.scrollWidth <= wide.clientWidth; };
+  new ResizeObserver(look).observe(wide);
+  look();
+});
+
 // A session: what other browsers and instruments add appears at once; what is being typed stays.
 each("[data-live]", (sitting) => {
   const entry = document.getElementById("entry");
