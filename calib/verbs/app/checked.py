@@ -39,7 +39,7 @@ class CauseLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checked:
-    """What the page of a check shows."""
+    """Content of the page of a check."""
 
     robot: str
     date: str

@@ -37,7 +37,7 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
-    """What the files of a job are, and how they are to be read."""
+    """The files of a job, and the way they are read."""
 
     files: tuple[InputFile, ...]
     fields: Mapping[str, Field]

@@ -38,7 +38,7 @@ OUTPUTS = (CORRECTED, RESULT, REPORT, VIEW, CELL, CORNERS, SHEET, CHECKED, POSES
 
 
 class Kind(Enum):
-    """What a job does."""
+    """The task of a job."""
 
     CALIBRATE = "calibrate"
     CHECK = "check"

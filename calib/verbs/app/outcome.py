@@ -49,7 +49,7 @@ class Headline:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What the page of a result shows."""
+    """Content of the page of a result."""
 
     result: Calibration
     #: ``"use"``, ``"use with care"``, ``"do not use"``; ``"none"`` without a verdict

@@ -80,7 +80,7 @@ class StopLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerView:
-    """What was said of the last stop."""
+    """The answer to the last stop, in words."""
 
     stop: int
     shade: str

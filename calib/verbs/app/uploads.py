@@ -63,14 +63,14 @@ _DEVICES = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
 
 
 class UploadError(CalibError):
-    """What a browser sent is too large, or no upload; the text says the limit."""
+    """An upload that is too large, or none; the text says the limit."""
 
     #: Status of the answer.
     status = 400
 
 
 class TooLargeError(UploadError):
-    """What a browser sent is larger than it may be."""
+    """An upload that is too large."""
 
     status = 413
 

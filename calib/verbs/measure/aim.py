@@ -19,7 +19,7 @@ _LARGEST = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aim(Value):
-    """How accurate the calibrated robot is to be, and where.
+    """The accuracy that the calibrated robot is to have, and the region for it.
 
     The error is that of a predicted position of the target, rms over the region: it shall be within the aim with a
     probability of `CONFIDENCE`.

@@ -90,12 +90,12 @@ class Break(Value):
 
     @property
     def is_decided(self) -> bool:
-        """Whether it is known which of the two has moved."""
+        """True if it is known which of the two has moved."""
         return self.target is None or self.station is None
 
     @property
     def code(self) -> Code:
-        """What is said of it."""
+        """The code of the finding."""
         if not self.is_decided:
             return "something_moved"
         return "base_moved" if self.target is None else "target_moved"

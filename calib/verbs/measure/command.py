@@ -32,7 +32,7 @@ class SessionCellOptions(FitOptions):
 
 @dataclass(frozen=True, slots=True)
 class StartOptions:
-    """What a session is started with, besides its cell."""
+    """Options that start a session, besides those of its cell."""
 
     aim: Annotated[
         str | None,

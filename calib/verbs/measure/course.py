@@ -131,7 +131,7 @@ class Course:
 
     @cached_property
     def history(self) -> History:
-        """How large the squares of good stops are."""
+        """The squares of the good stops."""
         good = [stop.answer for stop in self.counted if stop.answer.outcome == "good"]
         return History(
             sum(answer.square * answer.numbers for answer in good),
@@ -162,7 +162,7 @@ class Course:
 
     @cached_property
     def known(self) -> Known:
-        """What the stops so far tell of the parameters."""
+        """The information of the stops so far."""
         sensitivity = self.design.sensitivity
         noise, freedom = self._noise()
         total = np.zeros((len(sensitivity.names),) * 2)
@@ -280,7 +280,7 @@ class Course:
 
     @property
     def reached(self) -> bool:
-        """Whether the aim is reached: by what is expected, and with stops that check each other."""
+        """True if the expected error is within the aim, and stops check each other."""
         if self.expected is None or self.expected.high > self.aim:
             return False
         return sum(stop.answer.outcome == "good" for stop in self.counted) >= _CHECKED

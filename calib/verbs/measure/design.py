@@ -46,7 +46,7 @@ _FAR = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known(Value):
-    """What the rows so far tell of the parameters, in standard deviations of the noise as the cell states it."""
+    """Information on the parameters by the rows so far, in standard deviations of the noise as the cell states it."""
 
     #: Shape (p, p), sum of A^T A over the stops, with the noise as estimated
     information: Array

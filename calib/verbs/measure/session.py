@@ -251,7 +251,7 @@ class Session:
 
     @property
     def aim(self) -> Aim:
-        """How accurate the robot is to be, and where."""
+        """The accuracy that the robot is to have, and the region for it."""
         return self._settings.aim
 
     @property
@@ -261,7 +261,7 @@ class Session:
 
     @property
     def torn(self) -> str:
-        """What a program that was ended left unfinished at the end of the journal, and was dropped; mostly empty."""
+        """The unfinished end of the journal that a killed program left, and that was dropped; mostly empty."""
         return self._journal.torn
 
     @property
@@ -281,13 +281,13 @@ class Session:
 
     @property
     def origin(self) -> str:
-        """What places are measured from, in words: the instrument, or the frame that the cell states."""
+        """The origin of places, in words: the instrument, or the frame that the cell states."""
         known = "the origin of the measurement frame"
         return "the instrument" if self._settings.cell.estimate_frame else known
 
     @property
     def state(self) -> State:
-        """What is known after the stops so far."""
+        """The state of knowledge after the stops so far."""
         with self._lock, one_blas_thread():
             return state_of(self._course)
 

@@ -38,7 +38,7 @@ PICTURES = "pictures"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settings(Value):
-    """What a session was started with."""
+    """The settings with which a session was started."""
 
     #: The nominal robot
     robot: Robot

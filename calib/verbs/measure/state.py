@@ -62,7 +62,7 @@ class NextPose(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advice(Value):
-    """What would help."""
+    """A hint at a measurement that would help."""
 
     #: What
     code: AdviceCode
@@ -78,7 +78,7 @@ class Advice(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State(Value):
-    """What is known after the stops so far."""
+    """The state of knowledge after the stops so far."""
 
     #: Number of stops that count
     stops: int

@@ -55,7 +55,7 @@ _LOOK = 0.2
 
 @dataclass(slots=True)
 class _Stop:
-    """What was collected at the pose that is measured."""
+    """The readings so far of the pose that is measured."""
 
     pose: NextPose
     #: Rows by station and target, and what they came from.

@@ -30,7 +30,7 @@ SAME_POSE = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row(Value):
-    """What is measured at one stop."""
+    """The measurement at one stop."""
 
     #: Shape (m,), joint values as the robot has them, columns as ``robot.joint_names`` [rad] or [m]
     joints: Array
@@ -72,7 +72,7 @@ class Finding(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer(Value):
-    """What a session says of a stop as soon as it is measured."""
+    """The answer of a session to a stop, as soon as that is measured."""
 
     #: Its number, from 1
     stop: int

@@ -114,7 +114,7 @@ class PoseOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlaceOptions:
-    """Where camera and board roughly are."""
+    """The rough places of camera and board."""
 
     camera_at: Annotated[
         list[str] | None,

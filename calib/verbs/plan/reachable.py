@@ -39,7 +39,7 @@ _STOPS = 4000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground(Value):
-    """Where a robot can be measured, and how it gets there."""
+    """The poses at which a robot can be measured, and the ways between them."""
 
     #: The candidates.
     pool: Pool

@@ -55,7 +55,7 @@ _KNOCKS = (TARGET_MOVED, BASE_MOVED)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mistakes(Value):
-    """How often an operator makes each mistake, and how large they are; sizes are uniform in their logarithm."""
+    """Probability and size of each mistake of an operator; sizes are uniform in their logarithm."""
 
     #: Probability of each mistake at a reading, 0 to 1; a reading has at most one new mistake.
     gross: float = 0.0
@@ -137,7 +137,7 @@ USUAL_MISTAKES = Mistakes(
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """What is wrong with a reading in truth."""
+    """A mistake in a reading, as it is in truth."""
 
     #: One of `MISTAKES`.
     code: str
@@ -180,7 +180,7 @@ class Measurement(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reading:
-    """What was read at one pose, before it is handed over."""
+    """A reading of one pose, before it is handed over."""
 
     rows: Measurements
     #: Joint values that are noted, shape (m,).
@@ -269,7 +269,7 @@ class Operator:
 
     @property
     def knocked(self) -> tuple[Mistake, ...]:
-        """What was knocked so far."""
+        """The knocks so far."""
         return self._knocked
 
     def measure(

@@ -53,7 +53,7 @@ class JointSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """How a robot is connected."""
+    """A way to connect a robot."""
 
     #: What it is, for help texts: ``"robots of Universal Robots"``.
     words: str

@@ -38,7 +38,7 @@ class Instrument(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """How an instrument is opened."""
+    """A way to open an instrument."""
 
     #: What it reads, for help texts: ``"new rows of a file"``.
     words: str

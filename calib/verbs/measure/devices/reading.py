@@ -28,7 +28,7 @@ _WITH_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Context(Value):
-    """What a reader or a controller may need to know of the session that opens it."""
+    """The session that opens a reader or a controller, as far as that needs to know it."""
 
     #: Names of the m joints, in the order of the chain.
     joint_names: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ class Context(Value):
 
 @dataclass(frozen=True, slots=True)
 class Reading(Value):
-    """What an instrument gave: one row, a row for each target, or pictures."""
+    """A reading of an instrument: one row, a row for each target, or pictures."""
 
     #: Rows of a table; the columns are those of measurements, docs/data-format.md.
     rows: tuple[Cells, ...] = ()

@@ -196,7 +196,7 @@ def _table_rows(table: Table) -> list[FoundRow]:
 
 
 class GrowingText:
-    """What is new in a text each time that it is read again."""
+    """A text that grows: each time it is read, its new part."""
 
     def __init__(self, source: str, context: Context) -> None:
         self._source = source
