@@ -313,6 +313,7 @@ class MeasurePages:
             "stops": list(stop_lines(stops, session.robot, t)),
             "notes": [note for note in session.notes if note not in ("pause", "resume")],
             "targets": sitting.targets,
+            "asks": sitting.asks,
             "waits": sitting.waits_for_go,
             "holds": sitting.holds,
             "headers": sitting.headers,

@@ -87,6 +87,11 @@ class Sitting:
         return tuple(dict.fromkeys(target for _, target in self.session.sights))
 
     @property
+    def asks(self) -> bool:
+        """True if a person can say that the robot stands there, so that the instrument measures."""
+        return self.waits_for_go or self._station.is_asked
+
+    @property
     def holds(self) -> bool:
         """True while an instrument that comes by itself is not read, as the aim is reached and nobody said to go on."""
         if self._thread is None or self.waits_for_go or self._goes_on:
@@ -158,6 +163,8 @@ class Sitting:
     def go(self) -> None:
         """Say that the robot stands at the pose, or that the session goes on after its aim."""
         self._may_ask = True
+        if not self.waits_for_go:
+            self._station.go()
         self._goes_on = self._goes_on or self.holds
 
     def _listen(self) -> None:

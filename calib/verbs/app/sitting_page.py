@@ -148,9 +148,11 @@ def pose_view(session: Session, pose: NextPose, *, is_placed: bool) -> PoseView:
     )
 
 
-def finding_text(finding: Finding, robot: Robot, t: Sentences) -> str:
-    """Word a finding at its stop: what may be wrong, and what to do."""
+def finding_text(finding: Finding, robot: Robot, t: Sentences, answered: int | None = None) -> str:
+    """Word a finding, perhaps one at the answer to a stop: what may be wrong, and what to do."""
     values, name = finding.values, finding.name
+    if finding.code == "gross" and answered is not None and answered not in finding.stops:
+        return t("open_gross", stop=row_ranges(finding.stops))
     if finding.code == "not_there" and name and "change" in values:
         factor, unit = joint_unit(prismatic=robot.joint_types[name] == "prismatic")
         change = f"{number(factor * values['change'], 2, sign='+')} {unit}"
@@ -203,7 +205,7 @@ def answer_view(answer: Answer, robot: Robot, t: Sentences) -> AnswerView:
         help=t("answer_help") if answer.outcome == "again" and not answer.findings else "",
         residual=_residual(dict(answer.residual)),
         usual=_residual(dict(answer.usual)),
-        findings=tuple(finding_text(finding, robot, t) for finding in answer.findings),
+        findings=tuple(finding_text(one, robot, t, answer.stop) for one in answer.findings),
         change=change,
     )
 
@@ -220,7 +222,9 @@ def stop_lines(stops: Sequence[Stop], robot: Robot, t: Sentences) -> Iterator[St
             words=words[stop.answer.outcome],
             counts=stop.counts,
             residual=_residual(dict(stop.answer.residual)),
-            findings=tuple(finding_text(one, robot, t) for one in stop.answer.findings),
+            findings=tuple(
+                finding_text(one, robot, t, stop.number) for one in stop.answer.findings
+            ),
         )
 
 

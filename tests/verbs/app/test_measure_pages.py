@@ -258,6 +258,20 @@ def test_a_rehearsal_measures_when_a_person_says_so(client: Client):
     assert rows(client, job) == 3
 
 
+def test_the_answer_has_the_button_when_the_aim_is_reached(client: Client):
+    job = begun(client, aim="3 mm")
+    person = operator()
+    for _ in range(25):
+        measure(client, job, person)
+        text = client.get(job).text
+        box = text.partition('<section class="verdict')[2].partition("</section>")[0]
+        is_reached = f'action="{job}/finish"' in box
+        assert is_reached == ("✓ The aim is reached" in box)
+        if is_reached:
+            return
+    raise AssertionError("the aim was not reached")
+
+
 def test_an_instrument_that_comes_by_itself_stops_at_the_aim(client: Client, tmp_path: Path):
     exported = tmp_path / "points.txt"
     exported.write_text("x [mm];y [mm];z [mm]\n")

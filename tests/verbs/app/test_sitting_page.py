@@ -53,6 +53,9 @@ def test_a_finding_names_what_is_meant(found: Finding, named: str):
 
 def test_a_stop_that_is_far_off_by_now_is_no_mistake_of_this_moment():
     assert open_text(Finding("gross", (4,)), arm(), EN) == EN("open_gross", stop="4")
+    for answered, key in ((4, "finding_gross"), (9, "open_gross")):
+        words = {"stop": "4", "off": ""}
+        assert finding_text(Finding("gross", (4,)), arm(), EN, answered) == EN(key, **words)
     moved = Finding("base_moved", (4, 5))
     assert open_text(moved, arm(), EN) == finding_text(moved, arm(), EN)
 
