@@ -89,7 +89,7 @@ class Answer(Value):
     numbers: int = 0
     #: What may be wrong
     findings: tuple[Finding, ...] = ()
-    #: Expected error before and after it [m]; None: not known yet
+    #: Error below which 95 % of calibrations are, before and after it [m]; None: not known yet
     before: float | None = None
     after: float | None = None
 
