@@ -37,6 +37,9 @@ _FALSE_ALARM = 1e-4
 #: Degrees of freedom of the noise from which on a displacement can be told.
 _ENOUGH_FREEDOM = 6.0
 
+#: Squares that a displacement explains at each stop before or after it, whichever are fewer: 4 standard deviations.
+_EACH = 16.0
+
 #: By how much -2 log of the likelihood of one explanation has to be less than another's for it to be named alone.
 _DECIDED = 12.0
 
@@ -99,8 +102,10 @@ def find_moved(fit: RunningFit, factor: float, first: int) -> tuple[Moved, ...]:
             if (k < first and what != "stop") or not numbers or left < _ENOUGH_FREEDOM:
                 continue
             noise = max(min(max(square - gain, 0.0) / left, of_fit), least) * factor
-            limit = fdtri(numbers, left, 1.0 - _FALSE_ALARM / len(scan))
-            if gain > numbers * limit * noise:
+            limit = numbers * fdtri(numbers, left, 1.0 - _FALSE_ALARM / len(scan))
+            if what != "stop":  # what the model lacks is alike in neighbouring poses, and small
+                limit = max(limit, _EACH * min(k, len(scan) - k))
+            if gain > limit * noise:
                 cost = numbers * np.log(fit.rows.count)
                 if of_pictures:  # many corners tell the noise
                     cost -= gain / noise

@@ -91,7 +91,7 @@ class _Added:
 class Session:
     """A calibration that is being measured.
 
-    For example::
+    For example:
 
         cell = calib.Cell(base="base", tip="tool0", estimate_frame=True)
         session = calib.Session.start("session", "ur3", cell, calib.Aim(error=1e-4))

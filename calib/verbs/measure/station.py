@@ -68,7 +68,7 @@ class _Stop:
 class Station:
     """A session with its instrument and its robot.
 
-    For example::
+    For example:
 
         with Station(session, "tcp:192.168.0.20:5000") as station:
             while station.propose() is not None:
