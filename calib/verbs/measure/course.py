@@ -6,6 +6,7 @@ are the stops with what was said of them, from which `Course.restored` makes the
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,12 +14,14 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
+import calib.data.kinds as registry
 from calib.basics.arrays import Array, Mask
 from calib.basics.channels import RESIDUAL_UNITS
 from calib.basics.values import Value
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
 from calib.model.families import FAMILIES
+from calib.model.parameter_sets import DIRECTIONS
 from calib.numerics.moves import last_moves
 from calib.robot.robot import Robot
 from calib.verbs.measure.breaks import Break, cell_after, forgotten, relabelled
@@ -26,6 +29,7 @@ from calib.verbs.measure.design import Choice, Design, Known
 from calib.verbs.measure.expectation import Expectation
 from calib.verbs.measure.moved import find_moved
 from calib.verbs.measure.row_check import (
+    FAR_LENGTH,
     SAME_PLACE,
     History,
     RowCheck,
@@ -141,6 +145,20 @@ class Course:
     def tables(self) -> list[Measurements]:
         """Return the readings of the stops that count, with names as of what has moved, and with their moves."""
         return [self.table(stop) for stop in self.counted]
+
+    def tables_to_calibrate(self) -> list[Measurements]:
+        """Return the readings of the stops that count, without those that do not even place their own station.
+
+        Something may have moved again after one or two stops; a session knows about where it stood before, and a
+        calibration by the table does not.
+        """
+        tables = self.tables()
+        numbers: Counter[str] = Counter()
+        for table in tables:
+            numbers[table.groups[0]] += sum(len(registry.get(kind).units) for kind in table.kinds)
+        if not self.breaks:
+            return tables
+        return [table for table in tables if numbers[table.groups[0]] > len(DIRECTIONS)]
 
     def table(self, stop: Stop) -> Measurements:
         """Return the readings of a stop with names as of what has moved, and with its moves."""
@@ -342,7 +360,8 @@ class Course:
         check = check_row(
             self.robot, self.fit, table, number, earlier, proposed, self.history, rank
         )
-        if check.is_off is None:
+        far = check.prediction is not None and check.prediction.residual.get("m", 0.0) > FAR_LENGTH
+        if check.is_off is None or (far and not check.is_off):
             counted = [(s.number, t) for s, t in zip(self.counted, self.tables(), strict=True)]
             setup = self.design.sensitivity.setup
             wrong = contradiction(self.robot, setup, counted, table, number)
@@ -440,7 +459,7 @@ class Course:
     @property
     def cell_now(self) -> Cell:
         """The cell with what has moved as further targets and stations."""
-        return self._cell_of(self.tables())
+        return self._cell_of(self.tables_to_calibrate())
 
     def _cell_of(self, tables: Sequence[Measurements]) -> Cell:
         """Return the cell with what has moved, as far as it occurs in some readings."""

@@ -39,7 +39,7 @@ _SOME = 0.45
 _MOST = 0.7
 
 #: Deviation of a reading from what a fit to a few stops predicts, or the nominal robot, that no calibration explains.
-_ROUGH_LENGTH = 25e-3
+FAR_LENGTH = 25e-3
 _ROUGH_ANGLE = np.deg2rad(5.0)
 
 #: Part of it if the fit has most of the numbers that it needs.
@@ -164,7 +164,7 @@ def _is_far(fit: RunningFit, prediction: Prediction, share: float) -> bool:
         return False
     residual, usual = prediction.residual, prediction.usual
     rough = 1.0 if share < _MOST else _CLOSER
-    return residual.get("m", 0.0) > rough * _ROUGH_LENGTH + 6.0 * usual.get("m", 0.0) or (
+    return residual.get("m", 0.0) > rough * FAR_LENGTH + 6.0 * usual.get("m", 0.0) or (
         residual.get("rad", 0.0) > rough * _ROUGH_ANGLE + 6.0 * usual.get("rad", 0.0)
     )
 
@@ -221,7 +221,7 @@ def conflicts(robot: Robot, setup: Setup, tables: Sequence[Measurements]) -> Mas
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     expected = np.linalg.norm(nominal[:, None] - nominal, axis=2)
     same = np.array([[a == b for b in names] for a in names])
-    return np.asarray(same & (np.abs(apart - expected) > _ROUGH_LENGTH + slack))
+    return np.asarray(same & (np.abs(apart - expected) > FAR_LENGTH + slack))
 
 
 def contradiction(

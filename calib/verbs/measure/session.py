@@ -298,7 +298,7 @@ class Session:
         Raises:
             MeasurementError: There is none yet.
         """
-        tables = self._course.tables()
+        tables = self._course.tables_to_calibrate()
         if not tables:
             raise MeasurementError(
                 "The session has no stop that counts yet: measure the next pose."
@@ -574,7 +574,7 @@ class Session:
 
     def _write_table(self) -> None:
         """Write the table of the stops that count and its cell file, if it can be: the journal has all in any case."""
-        tables = self._course.tables()
+        tables = self._course.tables_to_calibrate()
         try:
             if not tables:
                 (self.folder / TABLE).unlink(missing_ok=True)

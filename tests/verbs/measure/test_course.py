@@ -325,3 +325,13 @@ def test_no_error_is_expected_before_the_stops_determine_the_robot(empty, virtua
     assert replace(course, breaks=(undecided,)).expected is None
     # Nor has a stop a residual that cannot be judged yet.
     assert [dict(stop.answer.residual) for stop in course.stops[:4]] == [{}] * 4
+
+
+def test_a_station_that_its_stops_do_not_place_is_not_calibrated(empty, virtual):
+    course = with_rows(empty, good_readings(virtual, 16))
+    moved = Break(15, None, "", None, np.eye(4))
+    # Two points have six numbers for the six of a new station.
+    kept = replace(course, breaks=(moved,)).tables_to_calibrate()
+    assert [len(kept), len(replace(course, breaks=(moved,)).tables())] == [14, 16]
+    three = replace(course, breaks=(replace(moved, stop=14),))
+    assert len(three.tables_to_calibrate()) == 16
