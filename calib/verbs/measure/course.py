@@ -6,7 +6,6 @@ are the stops with what was said of them, from which `Course.restored` makes the
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -57,6 +56,9 @@ _ENOUGH_FREEDOM = 10.0
 
 #: How often a stop is measured again before the session goes on without it.
 _TRIES = 3
+
+#: Stops from which on a fit tells where the target is about.
+_TELLING = 8
 
 #: Stops among which one that contradicts most others is wrong.
 _FEWEST_JUDGES = 4
@@ -147,18 +149,25 @@ class Course:
         return [self.table(stop) for stop in self.counted]
 
     def tables_to_calibrate(self) -> list[Measurements]:
-        """Return the readings of the stops that count, without those that do not even place their own station.
+        """Return the readings of the stops that count, without those that do not place their own station.
 
-        Something may have moved again after one or two stops; a session knows about where it stood before, and a
-        calibration by the table does not.
+        Something may have moved again after a few stops; a session knows about where it stood before, and a calibration
+        by the table does not. It holds out a pose at a time: the others have to place the station still.
         """
         tables = self.tables()
-        numbers: Counter[str] = Counter()
-        for table in tables:
-            numbers[table.groups[0]] += sum(len(registry.get(kind).units) for kind in table.kinds)
         if not self.breaks:
             return tables
-        return [table for table in tables if numbers[table.groups[0]] > len(DIRECTIONS)]
+        by_pose: dict[str, dict[bytes, int]] = {}
+        for table in tables:
+            numbers = sum(len(registry.get(kind).units) for kind in table.kinds)
+            pose = np.round(table.joints[0] / SAME_POSE).tobytes()
+            by_pose.setdefault(table.groups[0], {})[pose] = numbers
+        placed = {
+            group
+            for group, numbers in by_pose.items()
+            if sum(numbers.values()) - max(numbers.values()) > len(DIRECTIONS)
+        }
+        return [table for table in tables if table.groups[0] in placed]
 
     def table(self, stop: Stop) -> Measurements:
         """Return the readings of a stop with names as of what has moved, and with its moves."""
@@ -363,8 +372,8 @@ class Course:
         far = check.prediction is not None and check.prediction.residual.get("m", 0.0) > FAR_LENGTH
         if check.is_off is None or (far and not check.is_off):
             counted = [(s.number, t) for s, t in zip(self.counted, self.tables(), strict=True)]
-            setup = self.design.sensitivity.setup
-            wrong = contradiction(self.robot, setup, counted, table, number)
+            place = self._place_of(table.targets[0])
+            wrong = contradiction(self.robot, place, counted, table, number)
             if wrong is not None:
                 check = replace(check, is_off=True, findings=(wrong,))
         accepted = not check.is_off
@@ -408,12 +417,25 @@ class Course:
             course = course._with_answer(answer)
         return course._on_curve(), answer
 
+    def _place_of(self, target: str) -> Array | None:
+        """Return about where a target is in the tip, shape (4, 4) [m]: as stated, or as stops tell; None: unknown."""
+        stated = self.design.sensitivity.setup
+        if stated.target_given[0]:
+            return np.asarray(stated.T_tip_target[0])
+        if self.fit is None or self.fit.count < _TELLING:
+            return None
+        setup = self.fit.fitted.estimated_setup()
+        if target not in setup.targets:
+            return None
+        return np.asarray(setup.T_tip_target[setup.targets.index(target)])
+
     def _without_contradicted(self) -> tuple[Course, tuple[Finding, ...]]:
         """Return the course without the stops that most others contradict, and the findings of that."""
         tables = self.tables()
         if len(tables) < _FEWEST_JUDGES:
             return self, ()
-        share = conflicts(self.robot, self.design.sensitivity.setup, tables).sum(axis=1)
+        place = self._place_of(tables[0].targets[0])
+        share = conflicts(self.robot, place, tables).sum(axis=1)
         wrong = np.flatnonzero(share > 0.5 * (len(tables) - 1)).tolist()
         numbers = [self.counted[k].number for k in wrong]
         if not numbers or 2 * len(numbers) >= len(tables):

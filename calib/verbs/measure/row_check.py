@@ -17,7 +17,6 @@ from scipy.special import fdtrc, fdtri
 from calib.basics.arrays import Array, Mask
 from calib.basics.values import Value
 from calib.data.measurements import Measurements
-from calib.fit.registration.setup import Setup
 from calib.robot.robot import Robot
 from calib.verbs.measure.running_fit import Prediction, RunningFit
 from calib.verbs.measure.stop import SAME_POSE, Finding
@@ -191,7 +190,7 @@ def _same_reading(
     return []
 
 
-def conflicts(robot: Robot, setup: Setup, tables: Sequence[Measurements]) -> Mask:
+def conflicts(robot: Robot, T_tip_target: Array | None, tables: Sequence[Measurements]) -> Mask:
     """Return which stops contradict each other: their targets are farther apart, or closer, than any arm would have it.
 
     Distances do not depend on where the instrument stands. An arm that is not calibrated is centimetres off at most;
@@ -199,7 +198,7 @@ def conflicts(robot: Robot, setup: Setup, tables: Sequence[Measurements]) -> Mas
 
     Args:
         robot: The nominal robot.
-        setup: Frames and targets as the cell states them.
+        T_tip_target: Where the target is about, shape (4, 4) [m]; None: not known.
         tables: Readings of n stops.
 
     Returns:
@@ -210,8 +209,8 @@ def conflicts(robot: Robot, setup: Setup, tables: Sequence[Measurements]) -> Mas
         return np.zeros((n, n), dtype=np.bool_)
     names = [(table.groups[0], table.targets[0]) for table in tables]
     T = robot.poses(np.array([table.joints[0] for table in tables]))
-    if setup.target_given[0]:
-        nominal = (T @ setup.T_tip_target[0])[:, :3, 3]
+    if T_tip_target is not None:
+        nominal = (T @ T_tip_target)[:, :3, 3]
         slack = np.zeros((n, n))
     else:
         nominal = T[:, :3, 3]
@@ -226,7 +225,7 @@ def conflicts(robot: Robot, setup: Setup, tables: Sequence[Measurements]) -> Mas
 
 def contradiction(
     robot: Robot,
-    setup: Setup,
+    T_tip_target: Array | None,
     counted: Sequence[tuple[int, Measurements]],
     table: Measurements,
     number: int,
@@ -235,13 +234,16 @@ def contradiction(
 
     Args:
         robot: The nominal robot.
-        setup: Frames and targets as the cell states them.
+        T_tip_target: Where the target is about, shape (4, 4) [m]; None: not known.
         counted: Numbers and readings of the stops that count.
         table: The readings of the stop.
         number: Its number.
     """
-    against = conflicts(robot, setup, [*(other for _, other in counted), table])[-1, :-1]
-    for k, (stop, other) in reversed([*enumerate(counted)]):
+    # Readings of other places than since something has moved cannot be compared.
+    name = (table.groups[0], table.targets[0])
+    alike = [(n, other) for n, other in counted if (other.groups[0], other.targets[0]) == name]
+    against = conflicts(robot, T_tip_target, [*(other for _, other in alike), table])[-1, :-1]
+    for k, (stop, other) in reversed([*enumerate(alike)]):
         if against[k] and np.abs(other.points[0] - table.points[0]).max() < SAME_PLACE:
             return Finding("repeated", (number,), {"stop": float(stop)})
     if not len(against) or np.mean(against) <= 0.5:

@@ -329,9 +329,8 @@ def test_no_error_is_expected_before_the_stops_determine_the_robot(empty, virtua
 
 def test_a_station_that_its_stops_do_not_place_is_not_calibrated(empty, virtual):
     course = with_rows(empty, good_readings(virtual, 16))
-    moved = Break(15, None, "", None, np.eye(4))
-    # Two points have six numbers for the six of a new station.
-    kept = replace(course, breaks=(moved,)).tables_to_calibrate()
-    assert [len(kept), len(replace(course, breaks=(moved,)).tables())] == [14, 16]
-    three = replace(course, breaks=(replace(moved, stop=14),))
-    assert len(three.tables_to_calibrate()) == 16
+    # A new station has six unknowns: three points that are left when one is held out have nine numbers.
+    for first, kept in ((16, 15), (14, 13), (13, 16)):
+        moved = replace(course, breaks=(Break(first, None, "", None, np.eye(4)),))
+        assert len(moved.tables()) == 16
+        assert len(moved.tables_to_calibrate()) == kept

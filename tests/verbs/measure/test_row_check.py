@@ -198,18 +198,17 @@ def test_a_target_or_station_that_the_fit_has_not_is_unknown(known: Known):
 
 def test_without_a_fit_readings_are_held_against_the_nominal_robot(points: Known):
     good, counted = points.tables[GOOD], [*enumerate(points.tables[:6], start=1)]
-    setup = fit_of(points.virtual, points.tables).fitted.task.setup
     robot = points.virtual.truth.nominal
     assert points.check(good, fit=None).is_off is None
-    assert contradiction(robot, setup, counted, good, 7) is None
-    far = contradiction(robot, setup, counted, moved_by(good, [0.0, 5.0, 0.0]), 7)
+    assert contradiction(robot, None, counted, good, 7) is None
+    far = contradiction(robot, None, counted, moved_by(good, [0.0, 5.0, 0.0]), 7)
     assert far is not None
     assert (far.code, far.stops) == ("gross", (7,))
     # The same place though the robot has moved; a mere hundredth of a millimetre is noise.
     turned = points.tables[2].joints.copy()
     turned[:, 1] += 0.6
     copied = replace(good, joints=turned, points=points.tables[2].points + 1e-5)
-    finding = contradiction(robot, setup, counted, copied, 7)
+    finding = contradiction(robot, None, counted, copied, 7)
     assert finding is not None
     assert (finding.code, finding.values["stop"]) == ("repeated", 3.0)
 
