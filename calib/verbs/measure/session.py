@@ -710,7 +710,8 @@ def _via(row: Row) -> Array | None:
 
 def _answer_event(course: Course, answer: Answer) -> dict[str, Any]:
     """Return the event with what was said of the last stop, and what follows from it for the others."""
-    point = course.curve[-1] if course.curve else None
+    # None while no error is expected, as when it is not known what has moved.
+    point = next((each for each in course.curve[-1:] if each.stop == answer.stop), None)
     return {
         "event": "answer",
         "time": date_text(now()),
